@@ -1,0 +1,1 @@
+//! fluvia-net

@@ -1,0 +1,1 @@
+//! Smoothing kernels of smoothed particle hydrodynamics.

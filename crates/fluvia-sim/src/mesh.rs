@@ -1,0 +1,1 @@
+//! Triangle meshes from OBJ, PLY and STL files.

@@ -1,0 +1,1 @@
+//! Pure functions that judge a state: density, escapes, energy.

@@ -1,0 +1,72 @@
+//! The state of a fluid and the walls around it, as particles.
+
+/// The fluid particles; every vector has one entry a particle.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Particles {
+    /// Positions, metres.
+    pub position: Vec<[f32; 3]>,
+    /// Velocities, metres per second.
+    pub velocity: Vec<[f32; 3]>,
+    /// Identity, unique in a run and never used again after removal.
+    pub id: Vec<u32>,
+    /// The index of the scene's fluid (its emitter) that the particle came from.
+    pub body: Vec<u32>,
+}
+
+impl Particles {
+    /// The number of particles.
+    pub fn len(&self) -> usize {
+        self.position.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.position.is_empty()
+    }
+
+    /// Keeps the particles for which `keep` holds, in their order.
+    ///
+    /// # Panics
+    /// If `keep` has another length.
+    pub fn retain(&mut self, keep: &[bool]) {
+        assert_eq!(keep.len(), self.len(), "one flag per particle");
+        retain(&mut self.position, keep);
+        retain(&mut self.velocity, keep);
+        retain(&mut self.id, keep);
+        retain(&mut self.body, keep);
+    }
+}
+
+fn retain<T>(values: &mut Vec<T>, keep: &[bool]) {
+    let mut flags = keep.iter();
+    values.retain(|_| *flags.next().expect("one flag per value"));
+}
+
+/// The static wall particles.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Boundary {
+    /// Positions, metres.
+    pub position: Vec<[f32; 3]>,
+    /// Unit normals that point into the fluid.
+    pub normal: Vec<[f32; 3]>,
+}
+
+/// The external acceleration a_ext of Eq. 10, metres per second squared.
+#[derive(Clone, Copy, Debug)]
+pub enum Acceleration<'a> {
+    /// The same for all particles, as gravity.
+    Uniform([f32; 3]),
+    /// One per particle; its length is that of the particles.
+    PerParticle(&'a [[f32; 3]]),
+}
+
+impl Acceleration<'_> {
+    /// The acceleration of particle `i`.
+    #[inline]
+    pub fn of(&self, i: usize) -> [f32; 3] {
+        match self {
+            Acceleration::Uniform(a) => *a,
+            Acceleration::PerParticle(a) => a[i],
+        }
+    }
+}

@@ -1,0 +1,1 @@
+//! Position-based fluids (Macklin & Müller 2013).

@@ -1,0 +1,1 @@
+//! Particles for meshes: Poisson disks on surfaces, a lattice in volumes.

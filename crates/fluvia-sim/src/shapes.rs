@@ -1,0 +1,1 @@
+//! Built-in shapes, named in scene files.

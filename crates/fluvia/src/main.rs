@@ -1,0 +1,2 @@
+//! The `fluvia` binary.
+fn main() {}
