@@ -1,0 +1,113 @@
+//! AVX-512: 16 floats a vector, 32 registers.
+
+use std::arch::x86_64::*;
+
+use super::{InstructionSet, Operation, Product};
+
+pub struct Avx512;
+
+/// Whether this processor has what [`run`] needs.
+pub fn available() -> bool {
+    is_x86_feature_detected!("avx512f")
+        && is_x86_feature_detected!("avx512bw")
+        && is_x86_feature_detected!("avx512dq")
+        && is_x86_feature_detected!("avx512vl")
+        && is_x86_feature_detected!("fma")
+}
+
+/// # Safety
+/// [`available`] must hold.
+#[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,fma")]
+pub unsafe fn run(operation: impl Operation) {
+    operation.run::<Avx512>();
+}
+
+impl InstructionSet for Avx512 {
+    #[inline(always)]
+    fn multiply_add(a: f32, b: f32, c: f32) -> f32 {
+        a.mul_add(b, c)
+    }
+
+    #[inline(always)]
+    fn prefetch(value: &f32) {
+        // SAFETY: prefetching a valid address is always allowed; SSE is part of x86-64.
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(value).cast()) };
+    }
+
+    #[inline(always)]
+    fn multiply(product: Product<'_>) {
+        product.validate();
+        // SAFETY: this set is only used inside `run`, so the processor has the instructions, and the
+        // lengths were validated.
+        unsafe {
+            match product.width {
+                64 => tiles::<6, 4>(product),
+                48 => tiles::<6, 3>(product),
+                32 => tiles::<12, 2>(product),
+                _ => tiles::<12, 1>(product),
+            }
+        }
+    }
+}
+
+/// Goes through the rows in tiles of R rows and V vectors of columns.
+///
+/// # Safety
+/// The processor must have AVX-512F, and the product be valid.
+#[target_feature(enable = "avx512f")]
+unsafe fn tiles<const R: usize, const V: usize>(product: Product<'_>) {
+    let Product { rows, depth, a, a_stride, b, c, c_stride, .. } = product;
+    for row in (0..rows).step_by(R) {
+        // SAFETY: R divides ROWS, and the slices hold ROWS rows.
+        unsafe {
+            tile::<R, V>(
+                depth,
+                a.as_ptr().add(row * a_stride),
+                a_stride,
+                b.as_ptr(),
+                c.as_mut_ptr().add(row * c_stride),
+                c_stride,
+            );
+        }
+    }
+}
+
+/// One tile: R × V vectors of sums in registers.
+///
+/// # Safety
+/// The processor must have AVX-512F; `a` must have R rows of `depth` floats, `b` `depth` rows of 16 V, and `c` R rows
+/// of 16 V.
+#[target_feature(enable = "avx512f")]
+#[inline]
+unsafe fn tile<const R: usize, const V: usize>(
+    depth: usize,
+    a: *const f32,
+    a_stride: usize,
+    mut b: *const f32,
+    c: *mut f32,
+    c_stride: usize,
+) {
+    let mut sums = [[_mm512_setzero_ps(); V]; R];
+    for k in 0..depth {
+        // SAFETY: as the caller promises.
+        unsafe {
+            let columns: [__m512; V] = std::array::from_fn(|v| _mm512_loadu_ps(b.add(16 * v)));
+            for (r, sums) in sums.iter_mut().enumerate() {
+                let value = _mm512_set1_ps(*a.add(r * a_stride + k));
+                for (sum, column) in sums.iter_mut().zip(columns) {
+                    *sum = _mm512_fmadd_ps(value, column, *sum);
+                }
+            }
+            b = b.add(16 * V);
+        }
+    }
+    for (r, sums) in sums.iter().enumerate() {
+        for (v, sum) in sums.iter().enumerate() {
+            // SAFETY: as the caller promises.
+            unsafe {
+                let c = c.add(r * c_stride + 16 * v);
+                _mm512_storeu_ps(c, _mm512_add_ps(_mm512_loadu_ps(c), *sum));
+            }
+        }
+    }
+}
