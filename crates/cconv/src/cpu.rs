@@ -283,6 +283,11 @@ impl Dense {
         }
         Dense { in_channels, out_channels, packed, bias: bias.to_vec() }
     }
+
+    /// The number of output channels.
+    pub fn out_channels(&self) -> usize {
+        self.out_channels
+    }
 }
 
 /// Applies a fully connected layer to `features` [points, in channels].
