@@ -1,0 +1,321 @@
+//! VTK XML files: the points and point data of an UnstructuredGrid (`.vtu`) or PolyData (`.vtp`), and the `.pvd`
+//! index that gives ParaView the times of a run's frames.
+//!
+//! Arrays are read in every form of [`data`](super::vtu_data). Written: appended raw, little endian, UInt64 counts,
+//! one vertex cell a particle.
+
+use std::io::{self, Write};
+
+use quick_xml::events::{BytesStart, Event};
+use quick_xml::{Reader, XmlVersion};
+
+use super::Rows;
+use super::columns::{Columns, Quantity};
+use super::numbers::{ByteOrder, Cursor, Parsed, Scalar, shown};
+use super::vtu_data::{Appended, Encoding, Source};
+
+pub(super) fn parse(bytes: &[u8]) -> Parsed<Columns> {
+    // What is appended may be raw bytes, so the XML that is parsed ends before it.
+    let (text, appended) = match find(bytes, b"<AppendedData") {
+        Some(start) => (&bytes[..start], Some(Appended::read(&bytes[start..])?)),
+        None => (bytes, None),
+    };
+    let text = String::from_utf8_lossy(text);
+    let text = text.trim_start_matches('\u{feff}');
+    let mut parser = Parser { complete: appended.is_some(), appended, ..Parser::default() };
+    let mut reader = Reader::from_str(text);
+    loop {
+        let event = reader.read_event().map_err(|error| {
+            let before = text.bytes().take(reader.error_position() as usize);
+            let line = 1 + before.filter(|&byte| byte == b'\n').count();
+            format!("line {line}: no XML: {}", shown(&error.to_string()))
+        })?;
+        match event {
+            Event::Start(tag) => parser.start(&tag)?,
+            Event::Empty(tag) => {
+                parser.start(&tag)?;
+                parser.end(tag.name().as_ref())?;
+            }
+            Event::End(tag) => parser.end(tag.name().as_ref())?,
+            Event::Text(content) => {
+                if let Some(array) = &mut parser.array {
+                    array.text.push_str(&content);
+                }
+            }
+            Event::Eof => break,
+            _ => {}
+        }
+    }
+    match parser.complete {
+        true => Ok(parser.columns),
+        false => Err("no VTK XML file or a truncated one: it ends before </VTKFile>".into()),
+    }
+}
+
+pub(super) fn write(rows: Rows<'_>, out: &mut dyn Write) -> io::Result<()> {
+    let count = rows.len();
+    let mut arrays = Arrays::default();
+    let mut point_data = String::new();
+    for (name, values) in [("velocity", rows.velocity), ("normals", rows.normal)] {
+        if let Some(values) = values {
+            let bytes = values.as_flattened().iter().flat_map(|value| value.to_le_bytes());
+            point_data += &arrays.add(name, "Float32", 3, bytes);
+        }
+    }
+    for (name, values) in rows.integers() {
+        point_data += &arrays.add(name, "UInt32", 1, values.iter().flat_map(|value| value.to_le_bytes()));
+    }
+    let active = match (rows.velocity, rows.normal) {
+        (Some(_), _) => " Vectors=\"velocity\"",
+        (None, Some(_)) => " Normals=\"normals\"",
+        (None, None) => "",
+    };
+    let positions = rows.position.as_flattened().iter().flat_map(|value| value.to_le_bytes());
+    let points = arrays.add("points", "Float32", 3, positions);
+    let particles = 0..count as u64;
+    let cells = arrays.add("connectivity", "Int64", 1, particles.clone().flat_map(u64::to_le_bytes))
+        + &arrays.add("offsets", "Int64", 1, particles.flat_map(|particle| (particle + 1).to_le_bytes()))
+        + &arrays.add("types", "UInt8", 1, std::iter::repeat_n(VERTEX_CELL, count));
+    write!(
+        out,
+        "<?xml version=\"1.0\"?>\n\
+         <VTKFile type=\"UnstructuredGrid\" version=\"1.0\" byte_order=\"LittleEndian\" header_type=\"UInt64\">\n\
+         <UnstructuredGrid>\n<Piece NumberOfPoints=\"{count}\" NumberOfCells=\"{count}\">\n\
+         <PointData{active}>\n{point_data}</PointData>\n<CellData>\n</CellData>\n\
+         <Points>\n{points}</Points>\n<Cells>\n{cells}</Cells>\n\
+         </Piece>\n</UnstructuredGrid>\n<AppendedData encoding=\"raw\">\n_"
+    )?;
+    out.write_all(&arrays.appended)?;
+    out.write_all(b"\n</AppendedData>\n</VTKFile>\n")
+}
+
+/// Writes an index of frames: their times in seconds and their file names.
+pub(super) fn write_index(
+    frames: impl Iterator<Item = (f64, String)>,
+    out: &mut dyn Write,
+) -> io::Result<()> {
+    out.write_all(
+        b"<?xml version=\"1.0\"?>\n<VTKFile type=\"Collection\" version=\"0.1\" byte_order=\"LittleEndian\">\n\
+          <Collection>\n",
+    )?;
+    for (time, file) in frames {
+        writeln!(out, "<DataSet timestep=\"{time}\" part=\"0\" file=\"{file}\"/>")?;
+    }
+    out.write_all(b"</Collection>\n</VTKFile>\n")
+}
+
+/// The number of VTK_VERTEX.
+const VERTEX_CELL: u8 = 1;
+
+/// The bytes of all arrays of a file that is written.
+#[derive(Default)]
+struct Arrays {
+    appended: Vec<u8>,
+}
+
+impl Arrays {
+    /// Appends an array; returns the element that refers to it.
+    fn add<B: IntoIterator<Item = u8>>(&mut self, name: &str, kind: &str, width: usize, bytes: B) -> String {
+        let offset = self.appended.len();
+        self.appended.extend([0; 8]);
+        self.appended.extend(bytes);
+        let length = (self.appended.len() - offset - 8) as u64;
+        self.appended[offset..offset + 8].copy_from_slice(&length.to_le_bytes());
+        format!(
+            "<DataArray type=\"{kind}\" Name=\"{name}\" NumberOfComponents=\"{width}\" format=\"appended\" \
+             offset=\"{offset}\"/>\n"
+        )
+    }
+}
+
+/// The part of a piece that the present element is in.
+#[derive(Clone, Copy, Default, PartialEq)]
+enum Section {
+    #[default]
+    Other,
+    Points,
+    PointData,
+}
+
+/// The array of the present element, if it is wanted.
+struct Wanted {
+    quantity: Quantity,
+    name: String,
+    width: usize,
+    scalar: Scalar,
+    format: String,
+    offset: usize,
+    text: String,
+}
+
+#[derive(Default)]
+struct Parser {
+    appended: Option<Appended>,
+    encoding: Encoding,
+    has_root: bool,
+    complete: bool,
+    section: Section,
+    /// Points of the present piece.
+    points: usize,
+    array: Option<Wanted>,
+    piece: Columns,
+    columns: Columns,
+}
+
+impl Parser {
+    fn start(&mut self, tag: &BytesStart<'_>) -> Parsed<()> {
+        match tag.name().as_ref() {
+            "VTKFile" => {
+                self.has_root = true;
+                self.encoding = encoding(tag)?;
+            }
+            other if !self.has_root => {
+                return Err(format!("no VTK XML file: <{}>, expected <VTKFile>", shown(other)));
+            }
+            "Piece" => {
+                let count = attribute(tag, "NumberOfPoints")?.unwrap_or_default();
+                self.points = count
+                    .trim()
+                    .parse()
+                    .map_err(|_| format!("NumberOfPoints is '{}', expected a count", shown(&count)))?;
+            }
+            "Points" => self.section = Section::Points,
+            "PointData" => self.section = Section::PointData,
+            "DataArray" => self.array = self.wanted(tag)?,
+            _ => {}
+        }
+        Ok(())
+    }
+
+    fn end(&mut self, name: &str) -> Parsed<()> {
+        match name {
+            "VTKFile" => self.complete = true,
+            "Points" | "PointData" => self.section = Section::Other,
+            "Piece" => self.columns.append(std::mem::take(&mut self.piece)),
+            "DataArray" => {
+                if let Some(array) = self.array.take() {
+                    let values = self
+                        .values(&array)
+                        .map_err(|message| format!("array '{}': {message}", shown(&array.name)))?;
+                    self.piece.add(array.quantity, &array.name, array.width, values);
+                }
+            }
+            _ => {}
+        }
+        Ok(())
+    }
+
+    fn wanted(&self, tag: &BytesStart<'_>) -> Parsed<Option<Wanted>> {
+        let name = attribute(tag, "Name")?.unwrap_or_default();
+        let width = attribute(tag, "NumberOfComponents")?;
+        let width = match width.as_deref().map(str::trim) {
+            None => 1,
+            Some(width) => width.parse().map_err(|_| format!("array '{}' has no width", shown(&name)))?,
+        };
+        let quantity = match self.section {
+            Section::Other => None,
+            Section::Points => Some(Quantity::Position),
+            Section::PointData => Quantity::of_attribute(&name, width),
+        };
+        let Some(quantity) = quantity.filter(|&quantity| !self.piece.has(quantity)) else { return Ok(None) };
+        let kind = attribute(tag, "type")?.unwrap_or_default();
+        let scalar = match kind.as_str() {
+            "Int8" => Scalar::I8,
+            "UInt8" => Scalar::U8,
+            "Int16" => Scalar::I16,
+            "UInt16" => Scalar::U16,
+            "Int32" => Scalar::I32,
+            "UInt32" => Scalar::U32,
+            "Int64" => Scalar::I64,
+            "UInt64" => Scalar::U64,
+            "Float32" => Scalar::F32,
+            "Float64" => Scalar::F64,
+            _ => {
+                return Err(format!(
+                    "array '{}' has type '{}', expected a number",
+                    shown(&name),
+                    shown(&kind)
+                ));
+            }
+        };
+        let format = attribute(tag, "format")?.unwrap_or_else(|| "ascii".into());
+        let offset = attribute(tag, "offset")?.unwrap_or_default();
+        let offset = offset.trim().parse().unwrap_or(0);
+        let name = if name.is_empty() { "points".into() } else { name };
+        Ok(Some(Wanted { quantity, name, width, scalar, format, offset, text: String::new() }))
+    }
+
+    fn values(&self, array: &Wanted) -> Parsed<Vec<f64>> {
+        let Some(total) = self.points.checked_mul(array.width) else {
+            return Err(format!("{} points of {} values claimed", self.points, array.width));
+        };
+        let source = match (array.format.as_str(), &self.appended) {
+            ("ascii", _) => return numbers(&array.text, total),
+            ("binary", _) => Source::inline(&array.text),
+            ("appended", Some(appended)) => appended.source(array.offset)?,
+            ("appended", None) => return Err("its data is appended, and the file has none".into()),
+            (other, _) => {
+                return Err(format!("format '{}', expected ascii, binary or appended", shown(other)));
+            }
+        };
+        let Some(expected) = total.checked_mul(array.scalar.size()) else {
+            return Err(format!("{total} values claimed"));
+        };
+        let bytes = source.decode(&self.encoding, expected)?;
+        Ok(array.scalar.decode_all(self.encoding.order, &bytes))
+    }
+}
+
+/// How the arrays of a file are encoded, from its root element.
+fn encoding(tag: &BytesStart<'_>) -> Parsed<Encoding> {
+    match attribute(tag, "type")?.as_deref() {
+        Some("UnstructuredGrid" | "PolyData") => {}
+        Some("Collection") => {
+            return Err("an index of frames (.pvd), expected one of the files that it lists".into());
+        }
+        other => {
+            let found = shown(other.unwrap_or_default());
+            return Err(format!("VTK file of type '{found}', expected UnstructuredGrid or PolyData"));
+        }
+    }
+    let order = match attribute(tag, "byte_order")?.as_deref() {
+        Some("BigEndian") => ByteOrder::Big,
+        _ => ByteOrder::Little,
+    };
+    let counts = match attribute(tag, "header_type")?.as_deref() {
+        Some("UInt64") => Scalar::U64,
+        _ => Scalar::U32,
+    };
+    let compressed = match attribute(tag, "compressor")?.as_deref() {
+        None | Some("") => false,
+        Some("vtkZLibDataCompressor") => true,
+        Some(other) => {
+            return Err(format!("compressor '{}', expected none or vtkZLibDataCompressor", shown(other)));
+        }
+    };
+    Ok(Encoding { order, counts, compressed })
+}
+
+fn attribute(tag: &BytesStart<'_>, name: &str) -> Parsed<Option<String>> {
+    let bad = |error: &dyn std::fmt::Display| format!("attribute '{name}': {}", shown(&error.to_string()));
+    let Some(attribute) = tag.try_get_attribute(name).map_err(|error| bad(&error))? else { return Ok(None) };
+    let value = attribute.normalized_value(XmlVersion::Implicit1_0).map_err(|error| bad(&error))?;
+    Ok(Some(value.into_owned()))
+}
+
+fn numbers(text: &str, total: usize) -> Parsed<Vec<f64>> {
+    let mut cursor = Cursor::new(text.as_bytes());
+    let mut values = Vec::new();
+    while let Some(word) = cursor.word() {
+        let value = word.parse().map_err(|_| format!("'{}', expected a number", shown(word)))?;
+        values.push(value);
+    }
+    match values.len() == total {
+        true => Ok(values),
+        false => Err(format!("{} numbers, expected {total}", values.len())),
+    }
+}
+
+fn find(bytes: &[u8], needle: &[u8]) -> Option<usize> {
+    bytes.windows(needle.len()).position(|window| window == needle)
+}
