@@ -30,7 +30,7 @@ use crate::config::{Config, WALL_INPUTS};
 use crate::{Error, Result};
 use archive::{Archive, Entry};
 
-pub use self::safetensors::to_safetensors;
+pub use self::safetensors::{save_safetensors, to_safetensors};
 
 /// The weights of a network with its configuration.
 #[derive(Clone, Debug, PartialEq)]
@@ -313,9 +313,14 @@ impl fmt::Display for FileKind {
     }
 }
 
-/// Adds the file to a message.
+/// Adds the file to a message, which may quote names in the file: it is made one line of a bounded length.
 fn in_file(path: &Path) -> impl FnOnce(String) -> Error {
-    move |message| Error::file(path, message)
+    /// Enough for every message whose names are not made to be long.
+    const MAX_CHARACTERS: usize = 600;
+    move |message| {
+        let line = message.chars().map(|c| if c.is_control() { ' ' } else { c }).take(MAX_CHARACTERS);
+        Error::file(path, line.collect::<String>())
+    }
 }
 
 /// Opens a file as what its first bytes say that it is.

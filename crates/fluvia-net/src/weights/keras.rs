@@ -184,7 +184,12 @@ const HALF_EXPONENT: u8 = 5;
 fn metadata(root: &Group) -> Vec<(String, String)> {
     let attributes = root.attrs().unwrap_or_default();
     let text = |key: &str| match attributes.get(key) {
-        Some(AttrValue::String(text) | AttrValue::AsciiString(text)) => Some((key.to_owned(), text.clone())),
+        Some(
+            AttrValue::String(text)
+            | AttrValue::AsciiString(text)
+            | AttrValue::VarLenString(text)
+            | AttrValue::VarLenAsciiString(text),
+        ) => Some((key.to_owned(), text.clone())),
         _ => None,
     };
     ["backend", "keras_version"].into_iter().filter_map(text).collect()

@@ -11,6 +11,7 @@
 //! a JSON text: format version, units, network, physics, integration mode, training record.
 
 use std::ops::Range;
+use std::path::Path;
 
 use safetensors::tensor::{Dtype, SafeTensorError, SafeTensors, TensorView, serialize};
 use serde::{Deserialize, Serialize};
@@ -59,6 +60,20 @@ pub fn to_safetensors(weights: &Weights) -> Result<Vec<u8>> {
     // One key only: several would be written in an order that changes from run to run.
     let metadata = [(RECORD_KEY.to_owned(), record)].into_iter().collect();
     serialize(views, Some(metadata)).map_err(fault)
+}
+
+/// Writes these weights as a safetensors file: to a temporary name first, which then takes the place of `path`.
+///
+/// # Errors
+/// `Parameter` as [`to_safetensors`]; `Io` if the file cannot be written.
+pub fn save_safetensors(path: impl AsRef<Path>, weights: &Weights) -> Result<()> {
+    let path = path.as_ref();
+    let bytes = to_safetensors(weights)?;
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let temporary = path.with_file_name(format!(".{name}.tmp"));
+    std::fs::write(&temporary, bytes)
+        .and_then(|()| std::fs::rename(&temporary, path))
+        .map_err(Error::io(path))
 }
 
 /// A tensor in the form of the file.
