@@ -11,6 +11,8 @@
 mod avx2;
 #[cfg(all(target_arch = "x86_64", not(fluvia_portable)))]
 mod avx512;
+#[cfg(all(target_arch = "x86_64", not(fluvia_portable)))]
+mod instructions;
 mod patches;
 mod portable;
 mod products;
@@ -18,10 +20,15 @@ mod products;
 use std::ops::Range;
 use std::sync::Mutex;
 
+#[cfg(all(target_arch = "x86_64", not(fluvia_portable)))]
+use instructions::instructions;
+
 use rayon::prelude::*;
 
 use crate::filter::{Layout, panels};
 use crate::{Filter, Geometry};
+#[cfg(test)]
+pub(crate) use portable::Portable;
 
 /// Rows that one call of the matrix product works on: a multiple of the rows of every register tile.
 pub(crate) const ROWS: usize = 12;
@@ -101,10 +108,51 @@ pub(crate) trait Operation {
     fn run<I: InstructionSet>(self);
 }
 
-/// What differs between instruction sets by more than the compiler can see.
+/// Vectors of float32 and the operations on them. One line each in the file of a set; all of them
+/// `inline(always)`, so that they become single instructions inside [`Kernel::run`].
+///
+/// # Safety
+/// The functions may only be called inside [`Operation::run`] for this set, which [`Kernel::run`] calls
+/// after the processor has been asked.
 pub(crate) trait InstructionSet {
+    /// `LANES` floats.
+    type Vector: Copy;
+    /// The result of a comparison, lane by lane.
+    type Mask: Copy;
+    /// Four floats.
+    type Quad: Copy;
+    /// Floats in a vector; divides 16.
+    const LANES: usize;
+
+    fn splat(x: f32) -> Self::Vector;
+    /// Reads the first `LANES` values.
+    fn load(from: &[f32]) -> Self::Vector;
+    /// Writes the first `LANES` values.
+    fn store(x: Self::Vector, to: &mut [f32]);
+    /// Writes the first `LANES` values as integers; they lie in 0..2¹⁶.
+    fn store_u16(x: Self::Vector, to: &mut [u16]);
+    fn add(a: Self::Vector, b: Self::Vector) -> Self::Vector;
+    fn sub(a: Self::Vector, b: Self::Vector) -> Self::Vector;
+    fn mul(a: Self::Vector, b: Self::Vector) -> Self::Vector;
+    fn div(a: Self::Vector, b: Self::Vector) -> Self::Vector;
+    fn min(a: Self::Vector, b: Self::Vector) -> Self::Vector;
+    fn max(a: Self::Vector, b: Self::Vector) -> Self::Vector;
+    fn sqrt(x: Self::Vector) -> Self::Vector;
+    fn abs(x: Self::Vector) -> Self::Vector;
+    /// The magnitude of `x` with the sign of `sign`.
+    fn copysign(x: Self::Vector, sign: Self::Vector) -> Self::Vector;
+    /// Rounds numbers of magnitude below 2³¹ towards zero.
+    fn truncate(x: Self::Vector) -> Self::Vector;
+    fn less_equal(a: Self::Vector, b: Self::Vector) -> Self::Mask;
+    /// `a` where the mask holds, else `b`.
+    fn select(mask: Self::Mask, a: Self::Vector, b: Self::Vector) -> Self::Vector;
     /// a · b + c, fused where that is one instruction.
-    fn multiply_add(a: f32, b: f32, c: f32) -> f32;
+    fn multiply_add(a: Self::Vector, b: Self::Vector, c: Self::Vector) -> Self::Vector;
+
+    fn quad_splat(x: f32) -> Self::Quad;
+    fn quad_load(from: &[f32]) -> Self::Quad;
+    fn quad_store(x: Self::Quad, to: &mut [f32]);
+    fn quad_multiply_add(a: Self::Quad, b: Self::Quad, c: Self::Quad) -> Self::Quad;
 
     /// Asks for the cache line of `value`, where there is such an instruction.
     fn prefetch(value: &f32);

@@ -2,7 +2,7 @@
 //! kernels read it.
 
 use crate::Options;
-use crate::cpu::{PANEL, Slabs};
+use crate::cpu::{InstructionSet, PANEL, Slabs};
 
 /// How the filter is looked up at a point between the centres of its cells.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -16,46 +16,59 @@ pub enum Interpolation {
     Nearest,
 }
 
-/// The cells next to a coordinate along one axis and the weight of each.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) struct Along {
-    pub cells: [i32; 2],
-    pub weights: [f32; 2],
+/// The cells next to a coordinate along one axis, as whole floats, and the weight of each.
+#[derive(Clone, Copy)]
+pub(crate) struct Along<V> {
+    pub cells: [V; 2],
+    pub weights: [V; 2],
 }
 
-/// Where a coordinate of the cube [−1, 1] falls among the centres of `size` cells, in cells from the first
+/// Where coordinates of the cube [−1, 1] fall among the centres of `size` cells, in cells from the first
 /// centre.
 #[inline(always)]
-pub(crate) fn grid_coordinate(p: f32, size: f32, align_corners: bool, offset: f32) -> f32 {
+pub(crate) fn grid_coordinate<I: InstructionSet>(
+    p: I::Vector,
+    size: f32,
+    align_corners: bool,
+    offset: f32,
+) -> I::Vector {
     let span = if align_corners { size - 1.0 } else { size };
-    0.5 * p * span + 0.5 * (size - 1.0) + offset
+    I::multiply_add(p, I::splat(0.5 * span), I::splat(0.5 * (size - 1.0) + offset))
 }
 
 impl Interpolation {
-    /// The cells and weights for the grid coordinate `x` on an axis of `size` cells.
+    /// The cells and weights for the grid coordinates `x` on an axis of `size` cells.
     #[inline(always)]
-    pub(crate) fn along(self, x: f32, size: f32) -> Along {
-        let last = size as i32 - 1;
+    pub(crate) fn along<I: InstructionSet>(self, x: I::Vector, size: f32) -> Along<I::Vector> {
+        let (zero, one, last) = (I::splat(0.0), I::splat(1.0), I::splat(size - 1.0));
         match self {
             Interpolation::Nearest => {
-                let cell = truncate(x.clamp(0.0, size - 1.0) + 0.5);
-                Along { cells: [cell.min(last); 2], weights: [1.0, 0.0] }
+                let x = I::add(I::min(I::max(x, zero), last), I::splat(0.5));
+                Along { cells: [I::min(I::truncate(x), last); 2], weights: [one, zero] }
             }
             Interpolation::Linear => {
-                let x = x.clamp(0.0, size - 1.0);
-                let cell = truncate(x);
-                let fraction = x - cell as f32;
-                Along { cells: [cell, (cell + 1).min(last)], weights: [1.0 - fraction, fraction] }
+                let x = I::min(I::max(x, zero), last);
+                let low = I::truncate(x);
+                let fraction = I::sub(x, low);
+                Along {
+                    cells: [low, I::min(I::add(low, one), last)],
+                    weights: [I::sub(one, fraction), fraction],
+                }
             }
             Interpolation::LinearBorder => {
-                // Shifted by one, so that truncation rounds down for the cell before the first too.
-                let x = x.clamp(-1.0, size) + 1.0;
-                let cell = truncate(x);
-                let fraction = x - cell as f32;
-                let (low, high) = (cell - 1, cell);
-                let low_weight = if low >= 0 && low <= last { 1.0 - fraction } else { 0.0 };
-                let high_weight = if high <= last { fraction } else { 0.0 };
-                Along { cells: [low.clamp(0, last), high.min(last)], weights: [low_weight, high_weight] }
+                // Shifted by one, so that rounding towards zero rounds down before the first cell too.
+                let x = I::add(I::min(I::max(x, I::splat(-1.0)), I::splat(size)), one);
+                let high = I::truncate(x);
+                let fraction = I::sub(x, high);
+                let low = I::sub(high, one);
+                let inside = |cell, weight| {
+                    let weight = I::select(I::less_equal(zero, cell), weight, zero);
+                    I::select(I::less_equal(cell, last), weight, zero)
+                };
+                Along {
+                    cells: [I::min(I::max(low, zero), last), I::min(high, last)],
+                    weights: [inside(low, I::sub(one, fraction)), inside(high, fraction)],
+                }
             }
         }
     }
@@ -67,12 +80,6 @@ impl Interpolation {
             Interpolation::Linear | Interpolation::LinearBorder => 8,
         }
     }
-}
-
-/// Rounds a number that is known to lie in 0..2³¹ towards zero; NaN gives some number in range.
-#[inline(always)]
-fn truncate(x: f32) -> i32 {
-    x as i32
 }
 
 /// The weights of one layer: a filter, and optionally a bias and a pointwise term

@@ -11,7 +11,7 @@ use fluvia_neighbors::{Neighbors, Point};
 use rayon::prelude::*;
 
 use crate::cpu::{InstructionSet, Kernel, Operation};
-use crate::filter::{Along, grid_coordinate};
+use crate::filter::grid_coordinate;
 use crate::{Interpolation, Mapping, Options, Window};
 
 /// Pairs in a block: the float32 lanes of the widest vector.
@@ -144,132 +144,173 @@ impl Geometry {
         self.kernel = kernel;
         self.indices.clone_from(&sets.neighbors.indices);
         self.row_splits.clone_from(&sets.neighbors.row_splits);
-        self.normalized_windows(options, sets);
+        self.windows.clear();
+        if options.normalize {
+            self.windows.resize(pairs, 0.0);
+            self.windows.par_chunks_mut(TASK_BLOCKS * LANES).enumerate().for_each(|(k, windows)| {
+                kernel.run(Windows { options, sets, first: k * TASK_BLOCKS * LANES, windows });
+            });
+            normalize(&mut self.windows, &self.row_splits);
+        }
         self.blocks.resize(pairs.div_ceil(LANES), EMPTY);
-        let windows = (!self.windows.is_empty()).then_some(self.windows.as_slice());
+        let given = if options.normalize { Some(self.windows.as_slice()) } else { sets.window_values };
         self.blocks.par_chunks_mut(TASK_BLOCKS).enumerate().for_each(|(k, blocks)| {
-            kernel.run(Task { options, sets, windows, first: k * TASK_BLOCKS * LANES, blocks });
+            kernel.run(Blocks { options, sets, given, first: k * TASK_BLOCKS * LANES, blocks });
         });
     }
+}
 
-    /// Fills `windows` with a(x_i, x) / ψ(x) if ψ is not 1, and empties it otherwise.
-    fn normalized_windows(&mut self, options: &Options, sets: &PointSets<'_>) {
-        self.windows.clear();
-        if !options.normalize {
-            return;
-        }
-        let neighbors = sets.neighbors;
-        self.windows.resize(neighbors.indices.len(), 0.0);
-        for row in 0..sets.outputs.len() {
-            let pairs = neighbors.row_splits[row]..neighbors.row_splits[row + 1];
-            for pair in pairs.clone() {
-                self.windows[pair] = match sets.window_values {
-                    Some(values) => values[pair],
-                    None => {
-                        let p = relative(sets, row, neighbors.indices[pair]);
-                        options.window.value(p[0] * p[0] + p[1] * p[1] + p[2] * p[2])
-                    }
-                };
-            }
-            let sum: f32 = self.windows[pairs.clone()].iter().sum();
-            if sum != 0.0 {
-                self.windows[pairs].iter_mut().for_each(|window| *window /= sum);
-            }
+/// Divides the window values of each row by their sum, ψ of Eq. 9.
+fn normalize(windows: &mut [f32], row_splits: &[usize]) {
+    for row in row_splits.windows(2) {
+        let row = &mut windows[row[0]..row[1]];
+        let sum: f32 = row.iter().sum();
+        if sum != 0.0 {
+            row.iter_mut().for_each(|window| *window /= sum);
         }
     }
 }
 
-/// The computation of the blocks that start with pair `first`.
-struct Task<'a> {
+/// The rows of consecutive pairs.
+struct Rows<'a> {
+    sets: &'a PointSets<'a>,
+    pair: usize,
+    row: usize,
+}
+
+impl<'a> Rows<'a> {
+    /// Starts with pair `first`.
+    #[inline(always)]
+    fn new(sets: &'a PointSets<'a>, first: usize) -> Self {
+        // The last row that starts at or before the pair.
+        let row = sets.neighbors.row_splits.partition_point(|&start| start <= first).saturating_sub(1);
+        Rows { sets, pair: first, row }
+    }
+
+    /// The next pairs, as many as there are lanes: (x_i − x) / (extent / 2), the positions of the neighbours in
+    /// the unit ball, and the neighbours' indices. Lanes beyond the last pair are left at the centre.
+    #[inline(always)]
+    fn next(&mut self) -> ([[f32; LANES]; 3], &'a [u32]) {
+        let PointSets { inputs, outputs, neighbors, extent, .. } = self.sets;
+        let end = neighbors.indices.len().min(self.pair + LANES);
+        let indices = &neighbors.indices[self.pair..end];
+        let mut position = [[0.0; LANES]; 3];
+        for (lane, &index) in indices.iter().enumerate() {
+            while neighbors.row_splits[self.row + 1] <= self.pair + lane {
+                self.row += 1;
+            }
+            let (x_i, x, extent) = (inputs[index as usize], outputs[self.row], extent.of(self.row));
+            for axis in 0..3 {
+                position[axis][lane] = (x_i[axis] - x[axis]) / (0.5 * extent[axis]);
+            }
+        }
+        self.pair = end;
+        (position, indices)
+    }
+}
+
+/// The window values of the pairs from `first` on.
+struct Windows<'a> {
     options: &'a Options,
     sets: &'a PointSets<'a>,
-    /// The normalised windows, if ψ is not 1.
-    windows: Option<&'a [f32]>,
+    first: usize,
+    windows: &'a mut [f32],
+}
+
+impl Operation for Windows<'_> {
+    #[inline(always)]
+    fn run<I: InstructionSet>(self) {
+        if let Some(values) = self.sets.window_values {
+            let end = self.first + self.windows.len();
+            self.windows.copy_from_slice(&values[self.first..end]);
+            return;
+        }
+        let mut rows = Rows::new(self.sets, self.first);
+        for windows in self.windows.chunks_mut(LANES) {
+            let (position, _) = rows.next();
+            let mut block = [0.0; LANES];
+            for lane in (0..LANES).step_by(I::LANES) {
+                let [x, y, z] = [0, 1, 2].map(|axis| I::load(&position[axis][lane..]));
+                let q = I::add(I::add(I::mul(x, x), I::mul(y, y)), I::mul(z, z));
+                I::store(self.options.window.values::<I>(q), &mut block[lane..]);
+            }
+            windows.copy_from_slice(&block[..windows.len()]);
+        }
+    }
+}
+
+/// The blocks that start with pair `first`.
+struct Blocks<'a> {
+    options: &'a Options,
+    sets: &'a PointSets<'a>,
+    /// A window value for each pair, if they do not follow from the options alone.
+    given: Option<&'a [f32]>,
     first: usize,
     blocks: &'a mut [Block],
 }
 
-/// (x_i − x) / (extent / 2): the position of a neighbour in the unit ball.
-#[inline(always)]
-fn relative(sets: &PointSets<'_>, row: usize, index: u32) -> [f32; 3] {
-    let (x_i, x, extent) = (sets.inputs[index as usize], sets.outputs[row], sets.extent.of(row));
-    std::array::from_fn(|axis| (x_i[axis] - x[axis]) / (0.5 * extent[axis]))
-}
-
-impl Operation for Task<'_> {
+impl Operation for Blocks<'_> {
     #[inline(always)]
     fn run<I: InstructionSet>(self) {
-        let Task { options, sets, first, .. } = self;
-        let neighbors = sets.neighbors;
-        let windows = self.windows.or(sets.window_values);
-        // The row of the first pair: the last one that starts at or before it.
-        let mut row = neighbors.row_splits.partition_point(|&start| start <= first).saturating_sub(1);
-        let mut pair = first;
-        for block in self.blocks {
-            let (mut position, mut scale) = ([[0.0; LANES]; 3], [0.0; LANES]);
-            let live = LANES.min(neighbors.indices.len() - pair);
-            for lane in 0..live {
-                while neighbors.row_splits[row + 1] <= pair {
-                    row += 1;
-                }
-                let index = neighbors.indices[pair];
-                let p = relative(sets, row, index);
-                for axis in 0..3 {
-                    position[axis][lane] = p[axis];
-                }
-                scale[lane] = sets.importance.map_or(1.0, |importance| importance[index as usize])
-                    * windows.map_or(1.0, |windows| windows[pair]);
-                pair += 1;
+        let Blocks { options, sets, given, first, blocks } = self;
+        let window = if given.is_some() { Window::None } else { options.window };
+        let mut rows = Rows::new(sets, first);
+        for block in blocks {
+            let pair = rows.pair;
+            let (position, indices) = rows.next();
+            let mut scale = [1.0; LANES];
+            if let Some(given) = given {
+                scale[..indices.len()].copy_from_slice(&given[pair..pair + indices.len()]);
             }
-            if windows.is_none() {
-                apply_window(options.window, &position, &mut scale);
+            if let Some(importance) = sets.importance {
+                scale.iter_mut().zip(indices).for_each(|(scale, &i)| *scale *= importance[i as usize]);
             }
-            // Loops of their own, so that the compiler can turn each into vectors.
-            let (volume, linear) = (Mapping::VolumePreserving, Interpolation::Linear);
-            match (options.mapping, options.interpolation) {
-                (Mapping::VolumePreserving, Interpolation::Linear) => {
-                    fill_block(options, volume, linear, &position, &scale, block);
-                }
-                (mapping, interpolation) => {
-                    fill_block(options, mapping, interpolation, &position, &scale, block);
+            for lane in (0..LANES).step_by(I::LANES) {
+                let p = [0, 1, 2].map(|axis| I::load(&position[axis][lane..]));
+                let scale = I::load(&scale[lane..]);
+                // The paper's choices have a loop of their own, in which nothing is left to choose.
+                if (options.mapping, options.interpolation, window)
+                    == (Mapping::VolumePreserving, Interpolation::Linear, Window::Poly6)
+                {
+                    let choices = (Mapping::VolumePreserving, Interpolation::Linear, Window::Poly6);
+                    fill::<I>(options, choices, p, scale, block, lane);
+                } else {
+                    let choices = (options.mapping, options.interpolation, window);
+                    fill::<I>(options, choices, p, scale, block, lane);
                 }
             }
         }
     }
 }
 
+/// Fills some lanes of a block for neighbours at `p` in the unit ball.
 #[inline(always)]
-fn apply_window(window: Window, [x, y, z]: &[[f32; LANES]; 3], scale: &mut [f32; LANES]) {
-    for lane in 0..LANES {
-        scale[lane] *= window.value(x[lane] * x[lane] + y[lane] * y[lane] + z[lane] * z[lane]);
-    }
-}
-
-#[inline(always)]
-fn fill_block(
+fn fill<I: InstructionSet>(
     options: &Options,
-    mapping: Mapping,
-    interpolation: Interpolation,
-    position: &[[f32; LANES]; 3],
-    scale: &[f32; LANES],
+    (mapping, interpolation, window): (Mapping, Interpolation, Window),
+    p: [I::Vector; 3],
+    scale: I::Vector,
     block: &mut Block,
+    lane: usize,
 ) {
-    let [depth, height, width] = options.filter_size;
-    let (align, offset) = (options.align_corners, options.offset);
-    let size = [width as f32, height as f32, depth as f32];
-    let stride = [1, width as i32, (width * height) as i32];
-    for lane in 0..LANES {
-        let mapped = mapping.apply([position[0][lane], position[1][lane], position[2][lane]]);
-        let along = |axis: usize| -> Along {
-            let x = grid_coordinate(mapped[axis], size[axis], align, offset[axis]);
-            interpolation.along(x, size[axis])
-        };
-        let [x, y, z] = [along(0), along(1), along(2)];
-        for corner in 0..8 {
-            let (i, j, k) = (corner & 1, corner >> 1 & 1, corner >> 2);
-            block.weights[corner][lane] = x.weights[i] * y.weights[j] * (z.weights[k] * scale[lane]);
-            let cell = x.cells[i] + y.cells[j] * stride[1] + z.cells[k] * stride[2];
-            block.cells[corner][lane] = cell as u16;
+    let [depth, height, width] = options.filter_size.map(|cells| cells as f32);
+    let q = I::add(I::add(I::mul(p[0], p[0]), I::mul(p[1], p[1])), I::mul(p[2], p[2]));
+    let scale = I::mul(scale, window.values::<I>(q));
+    let mapped = mapping.apply::<I>(p);
+    let [x, y, z] = [(0, width), (1, height), (2, depth)].map(|(axis, size)| {
+        let x = grid_coordinate::<I>(mapped[axis], size, options.align_corners, options.offset[axis]);
+        interpolation.along::<I>(x, size)
+    });
+    for k in 0..2 {
+        let (z_weight, z_cell) = (I::mul(z.weights[k], scale), I::mul(z.cells[k], I::splat(height)));
+        for j in 0..2 {
+            let yz_weight = I::mul(y.weights[j], z_weight);
+            let yz_cell = I::mul(I::add(y.cells[j], z_cell), I::splat(width));
+            for i in 0..2 {
+                let corner = 4 * k + 2 * j + i;
+                I::store(I::mul(x.weights[i], yz_weight), &mut block.weights[corner][lane..]);
+                I::store_u16(I::add(x.cells[i], yz_cell), &mut block.cells[corner][lane..]);
+            }
         }
     }
 }

@@ -1,9 +1,11 @@
 //! The mapping Λ from the unit ball to a cube, Eq. 19-21.
 //!
 //! Here the cube is [−1, 1]³; the shift and halving of Eq. 21 belong to the lookup in `filter.rs`. The
-//! functions are free of branches, so that a loop over them becomes vector instructions.
+//! functions are free of branches and work on vectors of points.
 
 use std::f32::consts::FRAC_PI_4;
+
+use crate::cpu::InstructionSet;
 
 /// How positions in the ball of radius R are mapped to the cube of the filter grid.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -18,69 +20,85 @@ pub enum Mapping {
 }
 
 impl Mapping {
-    /// Maps a point of the unit ball to the cube [−1, 1]³.
+    /// Maps points of the unit ball to the cube [−1, 1]³; x, y and z of as many points as a vector has lanes.
     #[inline(always)]
-    pub fn apply(self, p: [f32; 3]) -> [f32; 3] {
+    pub(crate) fn apply<I: InstructionSet>(self, p: [I::Vector; 3]) -> [I::Vector; 3] {
         match self {
-            Mapping::VolumePreserving => cylinder_to_cube(ball_to_cylinder(p)),
-            Mapping::Radial => radial(p),
+            Mapping::VolumePreserving => cylinder_to_cube::<I>(ball_to_cylinder::<I>(p)),
+            Mapping::Radial => radial::<I>(p),
             Mapping::Identity => p,
         }
     }
 }
 
 #[inline(always)]
-fn radial([x, y, z]: [f32; 3]) -> [f32; 3] {
-    let largest = x.abs().max(y.abs()).max(z.abs());
-    let norm = (x * x + y * y + z * z).sqrt();
-    let scale = if largest > 0.0 { norm / largest } else { 0.0 };
-    [x * scale, y * scale, z * scale]
+fn radial<I: InstructionSet>([x, y, z]: [I::Vector; 3]) -> [I::Vector; 3] {
+    let largest = I::max(I::max(I::abs(x), I::abs(y)), I::abs(z));
+    let norm = I::sqrt(I::add(I::add(I::mul(x, x), I::mul(y, y)), I::mul(z, z)));
+    // At the centre the scale is 0; elsewhere the norm is at least the largest coordinate.
+    let scale = I::div(norm, I::max(largest, I::splat(f32::MIN_POSITIVE)));
+    [I::mul(x, scale), I::mul(y, scale), I::mul(z, scale)]
 }
 
 /// Λ_ball→cyl, Eq. 19.
 #[inline(always)]
-fn ball_to_cylinder([x, y, z]: [f32; 3]) -> [f32; 3] {
-    let planar_square = x * x + y * y;
-    let norm = (planar_square + z * z).sqrt();
+fn ball_to_cylinder<I: InstructionSet>([x, y, z]: [I::Vector; 3]) -> [I::Vector; 3] {
+    let planar_square = I::add(I::mul(x, x), I::mul(y, y));
+    let z_square = I::mul(z, z);
+    let norm = I::sqrt(I::add(planar_square, z_square));
     // Both quotients are 0/0 at the centre only, where x = y = z = 0 and any finite scale gives 0. They
-    // are below their bounds of 3/2 and 3 elsewhere; max() keeps the unused branch finite.
-    let side = norm / planar_square.sqrt().max(f32::MIN_POSITIVE);
-    let cap = (3.0 * norm / (norm + z.abs()).max(f32::MIN_POSITIVE)).sqrt();
-    let in_side = 1.25 * z * z <= planar_square;
-    let scale = if in_side { side } else { cap };
-    let height = if in_side { 1.5 * z } else { norm.copysign(z) };
-    [x * scale, y * scale, height]
+    // are at most 3/2 and 3 where they count; the bound keeps the one that does not count finite.
+    let tiny = I::splat(f32::MIN_POSITIVE);
+    let side = I::div(norm, I::max(I::sqrt(planar_square), tiny));
+    let cap = I::sqrt(I::div(I::mul(I::splat(3.0), norm), I::max(I::add(norm, I::abs(z)), tiny)));
+    let on_side = I::less_equal(I::mul(I::splat(1.25), z_square), planar_square);
+    let scale = I::select(on_side, side, cap);
+    let height = I::select(on_side, I::mul(I::splat(1.5), z), I::copysign(norm, z));
+    [I::mul(x, scale), I::mul(y, scale), height]
 }
 
 /// Λ_cyl→cube, Eq. 20.
 #[inline(always)]
-fn cylinder_to_cube([x, y, z]: [f32; 3]) -> [f32; 3] {
-    let x_leads = y.abs() <= x.abs();
-    let (long, short) = if x_leads { (x, y) } else { (y, x) };
-    let norm = (x * x + y * y).sqrt().copysign(long);
-    // On the axis both are 0 and so is the result.
-    let ratio = if long == 0.0 { 0.0 } else { short / long };
-    let angle = norm * arctan_over_quarter_turn(ratio);
-    if x_leads { [norm, angle, z] } else { [angle, norm, z] }
+fn cylinder_to_cube<I: InstructionSet>([x, y, z]: [I::Vector; 3]) -> [I::Vector; 3] {
+    let x_leads = I::less_equal(I::abs(y), I::abs(x));
+    let (long, short) = (I::select(x_leads, x, y), I::select(x_leads, y, x));
+    let norm = I::copysign(I::sqrt(I::add(I::mul(x, x), I::mul(y, y))), long);
+    // On the axis the ratio is 0, and so are both coordinates.
+    let magnitude = I::max(I::abs(long), I::splat(f32::MIN_POSITIVE));
+    let ratio = I::div(short, I::copysign(magnitude, long));
+    let angle = I::mul(norm, arctan_over_quarter_turn::<I>(ratio));
+    [I::select(x_leads, norm, angle), I::select(x_leads, angle, norm), z]
 }
 
 /// 4/π · arctan(t) for |t| ≤ 1, within 2e-7: the polynomial of Cephes' atanf on |t| ≤ tan(π/8), and
 /// arctan(t) = π/4 + arctan((t − 1) / (t + 1)) above.
 #[inline(always)]
-fn arctan_over_quarter_turn(t: f32) -> f32 {
+fn arctan_over_quarter_turn<I: InstructionSet>(t: I::Vector) -> I::Vector {
     const TAN_EIGHTH_TURN: f32 = 0.414_213_57;
-    let magnitude = t.abs();
-    let far = magnitude > TAN_EIGHTH_TURN;
-    let u = if far { (magnitude - 1.0) / (magnitude + 1.0) } else { magnitude };
-    let v = u * u;
-    let polynomial = ((8.053_744_6e-2 * v - 1.387_768_6e-1) * v + 1.997_771e-1) * v - 3.333_295e-1;
-    let small = (polynomial * v * u + u) * (1.0 / FRAC_PI_4);
-    (if far { 1.0 + small } else { small }).copysign(t)
+    const COEFFICIENTS: [f32; 4] = [8.053_744_6e-2, -1.387_768_6e-1, 1.997_771e-1, -3.333_295e-1];
+    let one = I::splat(1.0);
+    let magnitude = I::abs(t);
+    let near = I::less_equal(magnitude, I::splat(TAN_EIGHTH_TURN));
+    let turned = I::div(I::sub(magnitude, one), I::add(magnitude, one));
+    let u = I::select(near, magnitude, turned);
+    let v = I::mul(u, u);
+    let mut polynomial = I::splat(COEFFICIENTS[0]);
+    for coefficient in &COEFFICIENTS[1..] {
+        polynomial = I::multiply_add(polynomial, v, I::splat(*coefficient));
+    }
+    let small = I::multiply_add(I::mul(polynomial, v), u, u);
+    let small = I::mul(small, I::splat(1.0 / FRAC_PI_4));
+    I::copysign(I::select(near, small, I::add(one, small)), t)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cpu::Portable;
+
+    fn map(mapping: Mapping, p: [f32; 3]) -> [f32; 3] {
+        mapping.apply::<Portable>(p.map(|x| [x; 4])).map(|lanes| lanes[0])
+    }
 
     fn grid() -> impl Iterator<Item = [f32; 3]> {
         let steps = || (-20..=20).map(|k| k as f32 / 20.0);
@@ -92,7 +110,7 @@ mod tests {
         for k in -10_000..=10_000 {
             let t = k as f32 / 10_000.0;
             let exact = f64::from(t).atan() * 4.0 / std::f64::consts::PI;
-            let error = (f64::from(arctan_over_quarter_turn(t)) - exact).abs();
+            let error = (f64::from(arctan_over_quarter_turn::<Portable>([t; 4])[0]) - exact).abs();
             assert!(error < 2e-7, "arctan({t}) is off by {error}");
         }
     }
@@ -103,10 +121,10 @@ mod tests {
             for p in grid() {
                 let norm = (p[0] * p[0] + p[1] * p[1] + p[2] * p[2]).sqrt();
                 if norm == 0.0 {
-                    assert_eq!(mapping.apply(p), [0.0; 3]);
+                    assert_eq!(map(mapping, p), [0.0; 3]);
                     continue;
                 }
-                let on_sphere = mapping.apply(p.map(|x| x / norm));
+                let on_sphere = map(mapping, p.map(|x| x / norm));
                 let largest = on_sphere.iter().fold(0.0f32, |a, x| a.max(x.abs()));
                 // A point of the sphere lands on the surface of the cube, up to rounding.
                 assert!((largest - 1.0).abs() < 1e-6, "{mapping:?} {p:?} -> {on_sphere:?}");
@@ -131,8 +149,7 @@ mod tests {
                 let (mut low, mut high) = (p, p);
                 low[axis] -= h;
                 high[axis] += h;
-                let (low, high) =
-                    (Mapping::VolumePreserving.apply(low), Mapping::VolumePreserving.apply(high));
+                let (low, high) = (map(Mapping::VolumePreserving, low), map(Mapping::VolumePreserving, high));
                 std::array::from_fn::<f32, 3, _>(|i| (high[i] - low[i]) / (2.0 * h))
             };
             let [a, b, c] = [column(0), column(1), column(2)];

@@ -1,7 +1,9 @@
 //! The window function a(x_i, x) of Eq. 8 and its alternatives of Table 5.
 
-/// The weight of a neighbour by its distance. q is the squared distance divided by R², along each axis with
-/// its own R where the extent is anisotropic. Every window but [`Window::None`] is 0 at R and beyond.
+use crate::cpu::InstructionSet;
+
+/// The weight of a neighbour by its distance. With q the squared distance divided by R² (along each axis by
+/// its own R where the extent is anisotropic), every window but [`Window::None`] is 0 at R and beyond.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Window {
     /// (1 − q)³, Eq. 8, after the poly6 kernel of Müller et al. (2003).
@@ -14,16 +16,17 @@ pub enum Window {
 }
 
 impl Window {
-    /// The window's value at the squared normalised distance `q`.
+    /// The window's values at the squared normalised distances `q`.
     #[inline(always)]
-    pub fn value(self, q: f32) -> f32 {
+    pub(crate) fn values<I: InstructionSet>(self, q: I::Vector) -> I::Vector {
+        let (zero, one) = (I::splat(0.0), I::splat(1.0));
         match self {
             Window::Poly6 => {
-                let t = (1.0 - q).max(0.0);
-                t * t * t
+                let t = I::max(I::sub(one, q), zero);
+                I::mul(I::mul(t, t), t)
             }
-            Window::Triangular => (1.0 - q.sqrt()).max(0.0),
-            Window::None => 1.0,
+            Window::Triangular => I::max(I::sub(one, I::sqrt(q)), zero),
+            Window::None => one,
         }
     }
 }

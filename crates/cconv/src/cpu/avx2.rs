@@ -2,7 +2,7 @@
 
 use std::arch::x86_64::*;
 
-use super::{InstructionSet, Operation, Product};
+use super::{InstructionSet, Operation, Product, instructions};
 
 pub struct Avx2;
 
@@ -23,15 +23,41 @@ pub unsafe fn run(operation: impl Operation) {
 }
 
 impl InstructionSet for Avx2 {
-    #[inline(always)]
-    fn multiply_add(a: f32, b: f32, c: f32) -> f32 {
-        a.mul_add(b, c)
-    }
+    type Vector = __m256;
+    type Mask = __m256;
+    type Quad = __m128;
+    const LANES: usize = 8;
 
-    #[inline(always)]
-    fn prefetch(value: &f32) {
-        // SAFETY: prefetching a valid address is always allowed; SSE is part of x86-64.
-        unsafe { _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(value).cast()) };
+    instructions! {
+        fn splat(x: f32) -> __m256 { _mm256_set1_ps(x) }
+        fn add(a: __m256, b: __m256) -> __m256 { _mm256_add_ps(a, b) }
+        fn sub(a: __m256, b: __m256) -> __m256 { _mm256_sub_ps(a, b) }
+        fn mul(a: __m256, b: __m256) -> __m256 { _mm256_mul_ps(a, b) }
+        fn div(a: __m256, b: __m256) -> __m256 { _mm256_div_ps(a, b) }
+        fn min(a: __m256, b: __m256) -> __m256 { _mm256_min_ps(a, b) }
+        fn max(a: __m256, b: __m256) -> __m256 { _mm256_max_ps(a, b) }
+        fn sqrt(x: __m256) -> __m256 { _mm256_sqrt_ps(x) }
+        fn abs(x: __m256) -> __m256 { _mm256_andnot_ps(_mm256_set1_ps(-0.0), x) }
+        fn copysign(x: __m256, sign: __m256) -> __m256 {
+            let bit = _mm256_set1_ps(-0.0);
+            _mm256_or_ps(_mm256_andnot_ps(bit, x), _mm256_and_ps(bit, sign))
+        }
+        fn truncate(x: __m256) -> __m256 { _mm256_round_ps::<{ _MM_FROUND_TO_ZERO | _MM_FROUND_NO_EXC }>(x) }
+        fn less_equal(a: __m256, b: __m256) -> __m256 { _mm256_cmp_ps::<_CMP_LE_OQ>(a, b) }
+        fn select(mask: __m256, a: __m256, b: __m256) -> __m256 { _mm256_blendv_ps(b, a, mask) }
+        fn multiply_add(a: __m256, b: __m256, c: __m256) -> __m256 { _mm256_fmadd_ps(a, b, c) }
+        fn load(from: &[f32]) -> __m256 { _mm256_loadu_ps(from[..8].as_ptr()) }
+        fn store(x: __m256, to: &mut [f32]) { _mm256_storeu_ps(to[..8].as_mut_ptr(), x) }
+        fn store_u16(x: __m256, to: &mut [u16]) {
+            let integers = _mm256_cvttps_epi32(x);
+            let halves = (_mm256_castsi256_si128(integers), _mm256_extracti128_si256::<1>(integers));
+            _mm_storeu_si128(to[..8].as_mut_ptr().cast(), _mm_packus_epi32(halves.0, halves.1))
+        }
+        fn quad_splat(x: f32) -> __m128 { _mm_set1_ps(x) }
+        fn quad_load(from: &[f32]) -> __m128 { _mm_loadu_ps(from[..4].as_ptr()) }
+        fn quad_store(x: __m128, to: &mut [f32]) { _mm_storeu_ps(to[..4].as_mut_ptr(), x) }
+        fn quad_multiply_add(a: __m128, b: __m128, c: __m128) -> __m128 { _mm_fmadd_ps(a, b, c) }
+        fn prefetch(value: &f32) { _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(value).cast()) }
     }
 
     #[inline(always)]

@@ -2,7 +2,7 @@
 
 use std::arch::x86_64::*;
 
-use super::{InstructionSet, Operation, Product};
+use super::{InstructionSet, Operation, Product, instructions};
 
 pub struct Avx512;
 
@@ -23,15 +23,40 @@ pub unsafe fn run(operation: impl Operation) {
 }
 
 impl InstructionSet for Avx512 {
-    #[inline(always)]
-    fn multiply_add(a: f32, b: f32, c: f32) -> f32 {
-        a.mul_add(b, c)
-    }
+    type Vector = __m512;
+    type Mask = __mmask16;
+    type Quad = __m128;
+    const LANES: usize = 16;
 
-    #[inline(always)]
-    fn prefetch(value: &f32) {
-        // SAFETY: prefetching a valid address is always allowed; SSE is part of x86-64.
-        unsafe { _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(value).cast()) };
+    instructions! {
+        fn splat(x: f32) -> __m512 { _mm512_set1_ps(x) }
+        fn add(a: __m512, b: __m512) -> __m512 { _mm512_add_ps(a, b) }
+        fn sub(a: __m512, b: __m512) -> __m512 { _mm512_sub_ps(a, b) }
+        fn mul(a: __m512, b: __m512) -> __m512 { _mm512_mul_ps(a, b) }
+        fn div(a: __m512, b: __m512) -> __m512 { _mm512_div_ps(a, b) }
+        fn min(a: __m512, b: __m512) -> __m512 { _mm512_min_ps(a, b) }
+        fn max(a: __m512, b: __m512) -> __m512 { _mm512_max_ps(a, b) }
+        fn sqrt(x: __m512) -> __m512 { _mm512_sqrt_ps(x) }
+        fn abs(x: __m512) -> __m512 { _mm512_abs_ps(x) }
+        fn copysign(x: __m512, sign: __m512) -> __m512 {
+            let bit = _mm512_set1_ps(-0.0);
+            _mm512_or_ps(_mm512_andnot_ps(bit, x), _mm512_and_ps(bit, sign))
+        }
+        fn truncate(x: __m512) -> __m512 { _mm512_roundscale_ps::<_MM_FROUND_TO_ZERO>(x) }
+        fn less_equal(a: __m512, b: __m512) -> __mmask16 { _mm512_cmp_ps_mask::<_CMP_LE_OQ>(a, b) }
+        fn select(mask: __mmask16, a: __m512, b: __m512) -> __m512 { _mm512_mask_blend_ps(mask, b, a) }
+        fn multiply_add(a: __m512, b: __m512, c: __m512) -> __m512 { _mm512_fmadd_ps(a, b, c) }
+        fn load(from: &[f32]) -> __m512 { _mm512_loadu_ps(from[..16].as_ptr()) }
+        fn store(x: __m512, to: &mut [f32]) { _mm512_storeu_ps(to[..16].as_mut_ptr(), x) }
+        fn store_u16(x: __m512, to: &mut [u16]) {
+            let integers = _mm512_cvtepi32_epi16(_mm512_cvttps_epi32(x));
+            _mm256_storeu_si256(to[..16].as_mut_ptr().cast(), integers)
+        }
+        fn quad_splat(x: f32) -> __m128 { _mm_set1_ps(x) }
+        fn quad_load(from: &[f32]) -> __m128 { _mm_loadu_ps(from[..4].as_ptr()) }
+        fn quad_store(x: __m128, to: &mut [f32]) { _mm_storeu_ps(to[..4].as_mut_ptr(), x) }
+        fn quad_multiply_add(a: __m128, b: __m128, c: __m128) -> __m128 { _mm_fmadd_ps(a, b, c) }
+        fn prefetch(value: &f32) { _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(value).cast()) }
     }
 
     #[inline(always)]

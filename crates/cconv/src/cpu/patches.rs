@@ -153,13 +153,24 @@ fn fill<I: InstructionSet, const C: usize>(patch: &mut [f32], source: &Source<'_
         let next = start((pair + PREFETCH_PAIRS).min(last));
         I::prefetch(&features[next]);
         I::prefetch(&features[next + C / 2]);
-        let f: &[f32; C] = features[start(pair)..][..C].try_into().expect("C features");
-        for corner in 0..geometry.corners {
-            let weight = block.weights[corner][lane];
-            let cell = block.cells[corner][lane] as usize;
-            let sums: &mut [f32; C] = (&mut patch[cell * C..][..C]).try_into().expect("C sums");
-            for c in 0..C {
-                sums[c] = I::multiply_add(weight, f[c], sums[c]);
+        let f = &features[start(pair)..][..C];
+        if C >= I::LANES && C >= 16 {
+            let f: [I::Vector; 8] = std::array::from_fn(|v| I::load(&f[v * I::LANES % C..]));
+            for corner in 0..geometry.corners {
+                let weight = I::splat(block.weights[corner][lane]);
+                let sums = &mut patch[block.cells[corner][lane] as usize * C..][..C];
+                for (sums, f) in sums.chunks_exact_mut(I::LANES).zip(f) {
+                    I::store(I::multiply_add(weight, f, I::load(sums)), sums);
+                }
+            }
+        } else {
+            let f: [I::Quad; 2] = std::array::from_fn(|v| I::quad_load(&f[v * 4 % C..]));
+            for corner in 0..geometry.corners {
+                let weight = I::quad_splat(block.weights[corner][lane]);
+                let sums = &mut patch[block.cells[corner][lane] as usize * C..][..C];
+                for (sums, f) in sums.chunks_exact_mut(4).zip(f) {
+                    I::quad_store(I::quad_multiply_add(weight, f, I::quad_load(sums)), sums);
+                }
             }
         }
     }

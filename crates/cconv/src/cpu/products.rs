@@ -157,7 +157,7 @@ impl Gather<'_> {
         for (k, output) in self.output.values.chunks_exact_mut(self.output.stride).enumerate() {
             let row = self.first_row + k;
             // Four chains of additions, so that one need not wait for the other.
-            let mut sums = [[0.0; G]; 4];
+            let mut sums = [[I::quad_splat(0.0); 2]; 4];
             for pair in geometry.row_splits[row]..geometry.row_splits[row + 1] {
                 let block = &geometry.blocks[pair / LANES];
                 let lane = pair % LANES;
@@ -169,18 +169,22 @@ impl Gather<'_> {
                 }
                 let own = &products[geometry.indices[pair] as usize * stride..][..stride];
                 for corner in 0..geometry.corners {
-                    let weight = block.weights[corner][lane];
-                    let cell = block.cells[corner][lane] as usize;
-                    let product: &[f32; G] = own[cell * G..][..G].try_into().expect("G products");
-                    let sum = &mut sums[corner % 4];
-                    for g in 0..G {
-                        sum[g] = I::multiply_add(weight, product[g], sum[g]);
+                    let weight = I::quad_splat(block.weights[corner][lane]);
+                    let product = &own[block.cells[corner][lane] as usize * G..][..G];
+                    for (sum, product) in sums[corner % 4].iter_mut().zip(product.chunks_exact(4)) {
+                        *sum = I::quad_multiply_add(weight, I::quad_load(product), *sum);
                     }
                 }
             }
+            let mut totals = [[0.0; 8]; 4];
+            for (total, sum) in totals.iter_mut().zip(sums) {
+                I::quad_store(sum[0], total);
+                I::quad_store(sum[1], &mut total[4..]);
+            }
             let output = &mut output[self.output.first..][..filter.out_channels];
             for (channel, value) in output.iter_mut().enumerate() {
-                let sum = (sums[0][channel] + sums[1][channel]) + (sums[2][channel] + sums[3][channel]);
+                let [a, b, c, d] = totals.map(|total| total[channel]);
+                let sum = (a + b) + (c + d);
                 let bias = filter.bias.get(channel).copied().unwrap_or(0.0);
                 *value = sum + bias;
                 if filter.rows() > filter.cells {
