@@ -25,6 +25,7 @@ use instructions::instructions;
 
 use rayon::prelude::*;
 
+use crate::aligned::AlignedVec;
 use crate::filter::{Layout, panels};
 use crate::{Filter, Geometry};
 #[cfg(test)]
@@ -226,13 +227,13 @@ pub struct Workspace {
     /// One for each thread.
     scratch: Vec<Mutex<Scratch>>,
     /// Features with their channels padded, or the products of features and filter.
-    whole: Vec<f32>,
+    whole: AlignedVec,
 }
 
 #[derive(Debug, Default)]
 struct Scratch {
-    patches: Vec<f32>,
-    sums: Vec<f32>,
+    patches: AlignedVec,
+    sums: AlignedVec,
 }
 
 impl Workspace {
@@ -310,7 +311,7 @@ pub fn forward_into(
 pub struct Dense {
     in_channels: usize,
     out_channels: usize,
-    packed: Vec<f32>,
+    packed: AlignedVec,
     bias: Vec<f32>,
 }
 
@@ -329,6 +330,7 @@ impl Dense {
                 packed.extend((first..first + width).map(|column| row.get(column).copied().unwrap_or(0.0)));
             }
         }
+        let packed = AlignedVec::from_slice(&packed);
         Dense { in_channels, out_channels, packed, bias: bias.to_vec() }
     }
 

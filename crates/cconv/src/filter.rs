@@ -2,6 +2,7 @@
 //! kernels read it.
 
 use crate::Options;
+use crate::aligned::AlignedVec;
 use crate::cpu::{InstructionSet, PANEL, Slabs};
 
 /// How the filter is looked up at a point between the centres of its cells.
@@ -16,10 +17,11 @@ pub enum Interpolation {
     Nearest,
 }
 
-/// The cells next to a coordinate along one axis, as whole floats, and the weight of each.
+/// The cell before a coordinate along one axis, as a whole float, and the weights of that cell and of the
+/// next one (of the same one, with weight 0, on an axis of one cell).
 #[derive(Clone, Copy)]
 pub(crate) struct Along<V> {
-    pub cells: [V; 2],
+    pub cell: V,
     pub weights: [V; 2],
 }
 
@@ -40,35 +42,27 @@ impl Interpolation {
     /// The cells and weights for the grid coordinates `x` on an axis of `size` cells.
     #[inline(always)]
     pub(crate) fn along<I: InstructionSet>(self, x: I::Vector, size: f32) -> Along<I::Vector> {
-        let (zero, one, last) = (I::splat(0.0), I::splat(1.0), I::splat(size - 1.0));
+        let (zero, one) = (I::splat(0.0), I::splat(1.0));
+        let (last, last_pair) = (I::splat(size - 1.0), I::splat((size - 2.0).max(0.0)));
         match self {
             Interpolation::Nearest => {
                 let x = I::add(I::min(I::max(x, zero), last), I::splat(0.5));
-                Along { cells: [I::min(I::truncate(x), last); 2], weights: [one, zero] }
+                Along { cell: I::min(I::truncate(x), last), weights: [one, zero] }
             }
             Interpolation::Linear => {
+                // At the centre of the last cell, the pair before it with the whole weight on its second.
                 let x = I::min(I::max(x, zero), last);
-                let low = I::truncate(x);
-                let fraction = I::sub(x, low);
-                Along {
-                    cells: [low, I::min(I::add(low, one), last)],
-                    weights: [I::sub(one, fraction), fraction],
-                }
+                let cell = I::min(I::truncate(x), last_pair);
+                let fraction = I::sub(x, cell);
+                Along { cell, weights: [I::sub(one, fraction), fraction] }
             }
             Interpolation::LinearBorder => {
-                // Shifted by one, so that rounding towards zero rounds down before the first cell too.
-                let x = I::add(I::min(I::max(x, I::splat(-1.0)), I::splat(size)), one);
-                let high = I::truncate(x);
-                let fraction = I::sub(x, high);
-                let low = I::sub(high, one);
-                let inside = |cell, weight| {
-                    let weight = I::select(I::less_equal(zero, cell), weight, zero);
-                    I::select(I::less_equal(cell, last), weight, zero)
-                };
-                Along {
-                    cells: [I::min(I::max(low, zero), last), I::min(high, last)],
-                    weights: [inside(low, I::sub(one, fraction)), inside(high, fraction)],
-                }
+                // The share of a cell falls with the distance of its centre; outside there is none.
+                let cell = I::min(I::max(I::truncate(x), zero), last_pair);
+                let share = |cell| I::max(I::sub(one, I::abs(I::sub(x, cell))), zero);
+                let next = I::add(cell, one);
+                let inside = I::less_equal(next, last);
+                Along { cell, weights: [share(cell), I::select(inside, share(next), zero)] }
             }
         }
     }
@@ -95,7 +89,7 @@ pub struct Filter {
     pub(crate) slabs: Slabs,
     pub(crate) layout: Layout,
     /// The packed matrix, see [`Layout`].
-    pub(crate) packed: Vec<f32>,
+    pub(crate) packed: AlignedVec,
     /// The filter as given, [cells, in, out], then the pointwise weights if there are any.
     plain: Vec<f32>,
 }
@@ -181,6 +175,7 @@ impl Filter {
             Layout::Patches => pack_patches(&plain, rows, inputs, outputs, &slabs),
             Layout::Products { group } => pack_products(&plain, rows, inputs, outputs, group),
         };
+        let packed = AlignedVec::from_slice(&packed);
         Filter { cells, in_channels: inputs, out_channels: outputs, bias, slabs, layout, packed, plain }
     }
 }

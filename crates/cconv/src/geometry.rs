@@ -103,20 +103,25 @@ impl<'a> PointSets<'a> {
     }
 }
 
-/// The filter cells of [`LANES`] pairs and their weights, corner by corner.
+/// The filter cells of [`LANES`] pairs and their weights.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Block {
+    /// The lowest of the cells around the point, along each axis.
+    pub cell: [u16; LANES],
+    /// The weights of that cell and of those [`Geometry::steps`] away.
     pub weights: [[f32; LANES]; 8],
-    pub cells: [[u16; LANES]; 8],
 }
 
-const EMPTY: Block = Block { weights: [[0.0; LANES]; 8], cells: [[0; LANES]; 8] };
+const EMPTY: Block = Block { cell: [0; LANES], weights: [[0.0; LANES]; 8] };
 
 /// The geometry of all pairs of a set of points. Its memory is reused from build to build.
 #[derive(Clone, Debug, Default)]
 pub struct Geometry {
     pub(crate) blocks: Vec<Block>,
+    /// How many cells a pair can have a weight in: 1 or 8.
     pub(crate) corners: usize,
+    /// From the lowest cell of a pair to each of its cells; x changes first, then y, then z.
+    pub(crate) steps: [usize; 8],
     pub(crate) cells: usize,
     pub(crate) inputs: usize,
     pub(crate) outputs: usize,
@@ -138,6 +143,12 @@ impl Geometry {
         assert!((1..=1 << 16).contains(&cells), "{cells} filter cells, expected 1 to 65,536");
         let pairs = sets.neighbors.indices.len();
         self.corners = options.interpolation.corners();
+        let [depth, height, width] = options.filter_size;
+        let along = [(width, 1), (height, width), (depth, width * height)]
+            .map(|(size, stride)| if size > 1 { stride } else { 0 });
+        self.steps = std::array::from_fn(|corner| {
+            (corner & 1) * along[0] + (corner >> 1 & 1) * along[1] + (corner >> 2) * along[2]
+        });
         self.cells = cells;
         self.inputs = sets.inputs.len();
         self.outputs = sets.outputs.len();
@@ -230,7 +241,8 @@ impl Operation for Windows<'_> {
             let (position, _) = rows.next();
             let mut block = [0.0; LANES];
             for lane in (0..LANES).step_by(I::LANES) {
-                let [x, y, z] = [0, 1, 2].map(|axis| I::load(&position[axis][lane..]));
+                let [x, y, z] = &position;
+                let (x, y, z) = (I::load(&x[lane..]), I::load(&y[lane..]), I::load(&z[lane..]));
                 let q = I::add(I::add(I::mul(x, x), I::mul(y, y)), I::mul(z, z));
                 I::store(self.options.window.values::<I>(q), &mut block[lane..]);
             }
@@ -266,7 +278,8 @@ impl Operation for Blocks<'_> {
                 scale.iter_mut().zip(indices).for_each(|(scale, &i)| *scale *= importance[i as usize]);
             }
             for lane in (0..LANES).step_by(I::LANES) {
-                let p = [0, 1, 2].map(|axis| I::load(&position[axis][lane..]));
+                let [x, y, z] = &position;
+                let p = [I::load(&x[lane..]), I::load(&y[lane..]), I::load(&z[lane..])];
                 let scale = I::load(&scale[lane..]);
                 // The paper's choices have a loop of their own, in which nothing is left to choose.
                 if (options.mapping, options.interpolation, window)
@@ -294,22 +307,23 @@ fn fill<I: InstructionSet>(
     lane: usize,
 ) {
     let [depth, height, width] = options.filter_size.map(|cells| cells as f32);
+    let (align, offset) = (options.align_corners, options.offset);
     let q = I::add(I::add(I::mul(p[0], p[0]), I::mul(p[1], p[1])), I::mul(p[2], p[2]));
     let scale = I::mul(scale, window.values::<I>(q));
-    let mapped = mapping.apply::<I>(p);
-    let [x, y, z] = [(0, width), (1, height), (2, depth)].map(|(axis, size)| {
-        let x = grid_coordinate::<I>(mapped[axis], size, options.align_corners, options.offset[axis]);
-        interpolation.along::<I>(x, size)
-    });
+    let p = mapping.apply::<I>(p);
+    let x = interpolation.along::<I>(grid_coordinate::<I>(p[0], width, align, offset[0]), width);
+    let y = interpolation.along::<I>(grid_coordinate::<I>(p[1], height, align, offset[1]), height);
+    let z = interpolation.along::<I>(grid_coordinate::<I>(p[2], depth, align, offset[2]), depth);
+    let row = I::multiply_add(z.cell, I::splat(height), y.cell);
+    let cell = I::multiply_add(row, I::splat(width), x.cell);
+    I::store_u16(cell, &mut block.cell[lane..]);
     for k in 0..2 {
-        let (z_weight, z_cell) = (I::mul(z.weights[k], scale), I::mul(z.cells[k], I::splat(height)));
+        let z_weight = I::mul(z.weights[k], scale);
         for j in 0..2 {
             let yz_weight = I::mul(y.weights[j], z_weight);
-            let yz_cell = I::mul(I::add(y.cells[j], z_cell), I::splat(width));
             for i in 0..2 {
-                let corner = 4 * k + 2 * j + i;
-                I::store(I::mul(x.weights[i], yz_weight), &mut block.weights[corner][lane..]);
-                I::store_u16(I::add(x.cells[i], yz_cell), &mut block.cells[corner][lane..]);
+                let weight = I::mul(x.weights[i], yz_weight);
+                I::store(weight, &mut block.weights[4 * k + 2 * j + i][lane..]);
             }
         }
     }

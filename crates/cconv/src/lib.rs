@@ -46,6 +46,7 @@
 //! assert!((output[0] - 0.6 - 0.1 * 2.0 * 0.75f32.powi(3) - 0.1 * 3.0 * 0.36f32.powi(3)).abs() < 1e-6);
 //! ```
 
+mod aligned;
 mod cpu;
 mod filter;
 mod geometry;

@@ -207,7 +207,8 @@ fn number(word: &str) -> std::result::Result<f32, String> {
 /// Foreign text in an error message: what can be printed of it, on one line and not all of it if it is long.
 fn shorten(text: &str) -> String {
     const LONGEST: usize = 40;
-    let mut short: String = text.chars().take(LONGEST).map(|c| if c.is_control() { '?' } else { c }).collect();
+    let mut short: String =
+        text.chars().take(LONGEST).map(|c| if c.is_control() { '?' } else { c }).collect();
     if text.chars().nth(LONGEST).is_some() {
         short.push_str("...");
     }
@@ -268,9 +269,10 @@ mod tests {
             both
         };
         let moved = add(cube.map(|[x, y, z]| [x + 0.5, y + 0.25, z + 0.125]));
-        assert_eq!(moved.contains(&[[0.25, 0.1, 0.1], [0.8, 0.3, 0.1], [0.8, -0.4, 0.1]]), [
-            true, true, false
-        ]);
+        assert_eq!(
+            moved.contains(&[[0.25, 0.1, 0.1], [0.8, 0.3, 0.1], [0.8, -0.4, 0.1]]),
+            [true, true, false]
+        );
         let mut inner = cube.map(|x| x.map(|x| 0.5 * x));
         inner.triangles.iter_mut().for_each(|t| t.swap(0, 1));
         assert_eq!(add(inner).contains(&[[0.1, 0.1, 0.1], [0.4, 0.1, 0.1]]), [false, true]);

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 use super::{Columns, InstructionSet, Operation, Product, ROWS, Scratch, Workspace, with_scratch};
 use crate::filter::panels;
-use crate::geometry::LANES;
+use crate::geometry::{Block, LANES};
 use crate::{Filter, Geometry};
 
 /// Output points of a task: enough to pay for fetching the weights, few enough to balance two threads on
@@ -31,12 +31,12 @@ pub fn forward(
         features
     } else {
         let whole = &mut workspace.whole;
-        whole.clear();
-        whole.resize(geometry.inputs * padded, 0.0);
+        whole.reserve_len(geometry.inputs * padded);
         for (to, from) in whole.chunks_exact_mut(padded).zip(features.chunks_exact(filter.in_channels)) {
             to[..from.len()].copy_from_slice(from);
+            to[from.len()..].fill(0.0);
         }
-        whole.as_slice()
+        &whole[..geometry.inputs * padded]
     };
     let Columns { values, stride, first } = output;
     let scratch = &workspace.scratch;
@@ -73,14 +73,12 @@ impl Operation for Task<'_> {
         let outputs = filter.out_channels;
         let width = outputs.next_multiple_of(16);
         let Scratch { patches, sums } = scratch;
-        sums.clear();
-        sums.resize(rows.next_multiple_of(ROWS) * width, 0.0);
-        let mut packed = filter.packed.as_slice();
+        sums.reserve_len(rows.next_multiple_of(ROWS) * width);
+        sums[..rows.next_multiple_of(ROWS) * width].fill(0.0);
+        let mut packed: &[f32] = &filter.packed;
         for slab in filter.slabs.iter() {
             let depth = filter.rows() * slab.len();
-            if patches.len() < ROWS * depth {
-                patches.resize(ROWS * depth, 0.0);
-            }
+            patches.reserve_len(ROWS * depth);
             let (weights, rest) = packed.split_at(depth * width);
             packed = rest;
             for block in (0..rows).step_by(ROWS) {
@@ -141,40 +139,58 @@ struct Source<'a> {
 fn fill<I: InstructionSet, const C: usize>(patch: &mut [f32], source: &Source<'_>) {
     let Source { geometry, filter, features, row, channel } = *source;
     let stride = filter.slabs.padded();
-    let cells = filter.cells;
-    let (patch, pointwise) = patch.split_at_mut(cells * C);
+    let (patch, pointwise) = patch.split_at_mut(filter.cells * C);
     patch.fill(0.0);
-    let pairs = geometry.row_splits[row]..geometry.row_splits[row + 1];
     let last = geometry.indices.len().saturating_sub(1);
-    for pair in pairs {
-        let block = &geometry.blocks[pair / LANES];
-        let lane = pair % LANES;
+    let steps = geometry.steps.map(|step| step * C);
+    for pair in geometry.row_splits[row]..geometry.row_splits[row + 1] {
         let start = |pair: usize| geometry.indices[pair] as usize * stride + channel;
         let next = start((pair + PREFETCH_PAIRS).min(last));
         I::prefetch(&features[next]);
         I::prefetch(&features[next + C / 2]);
         let f = &features[start(pair)..][..C];
-        if C >= I::LANES && C >= 16 {
-            let f: [I::Vector; 8] = std::array::from_fn(|v| I::load(&f[v * I::LANES % C..]));
-            for corner in 0..geometry.corners {
-                let weight = I::splat(block.weights[corner][lane]);
-                let sums = &mut patch[block.cells[corner][lane] as usize * C..][..C];
-                for (sums, f) in sums.chunks_exact_mut(I::LANES).zip(f) {
-                    I::store(I::multiply_add(weight, f, I::load(sums)), sums);
-                }
-            }
+        let block = &geometry.blocks[pair / LANES];
+        let lane = pair % LANES;
+        let patch = &mut patch[block.cell[lane] as usize * C..];
+        if geometry.corners == 8 {
+            spread::<I, C, 8>(patch, f, block, lane, &steps);
         } else {
-            let f: [I::Quad; 2] = std::array::from_fn(|v| I::quad_load(&f[v * 4 % C..]));
-            for corner in 0..geometry.corners {
-                let weight = I::quad_splat(block.weights[corner][lane]);
-                let sums = &mut patch[block.cells[corner][lane] as usize * C..][..C];
-                for (sums, f) in sums.chunks_exact_mut(4).zip(f) {
-                    I::quad_store(I::quad_multiply_add(weight, f, I::quad_load(sums)), sums);
-                }
-            }
+            spread::<I, C, 1>(patch, f, block, lane, &steps);
         }
     }
     if !pointwise.is_empty() {
         pointwise.copy_from_slice(&features[row * stride + channel..][..C]);
+    }
+}
+
+/// Adds the features `f` of a neighbour to its cells. `patch` starts at the lowest of them.
+#[inline(always)]
+fn spread<I: InstructionSet, const C: usize, const CORNERS: usize>(
+    patch: &mut [f32],
+    f: &[f32],
+    block: &Block,
+    lane: usize,
+    steps: &[usize; 8],
+) {
+    // The last step is the largest: one check for all.
+    let patch = &mut patch[..steps[CORNERS - 1] + C];
+    if C >= 16 {
+        let f: [I::Vector; 8] = std::array::from_fn(|v| I::load(&f[v * I::LANES % C..]));
+        for corner in 0..CORNERS {
+            let weight = I::splat(block.weights[corner][lane]);
+            for v in 0..C / I::LANES {
+                let sums = &mut patch[steps[corner] + v * I::LANES..];
+                I::store(I::multiply_add(weight, f[v], I::load(sums)), sums);
+            }
+        }
+    } else {
+        let f: [I::Quad; 2] = std::array::from_fn(|v| I::quad_load(&f[v * 4 % C..]));
+        for corner in 0..CORNERS {
+            let weight = I::quad_splat(block.weights[corner][lane]);
+            for v in 0..C / 4 {
+                let sums = &mut patch[steps[corner] + v * 4..];
+                I::quad_store(I::quad_multiply_add(weight, f[v], I::quad_load(sums)), sums);
+            }
+        }
     }
 }

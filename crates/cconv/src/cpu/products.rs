@@ -29,7 +29,8 @@ pub fn forward(
 ) {
     let width = filter.rows() * group;
     let Workspace { scratch, whole } = workspace;
-    whole.resize(geometry.inputs * width, 0.0);
+    whole.reserve_len(geometry.inputs * width);
+    let whole = &mut whole[..geometry.inputs * width];
     let rows = Rows { features, in_channels: filter.in_channels, packed: &filter.packed, columns: width };
     let kernel: Kernel = geometry.kernel;
     whole.par_chunks_mut(TASK_ROWS * width).enumerate().for_each(|(k, products)| {
@@ -86,9 +87,8 @@ impl Operation for RowsTask<'_> {
         let Rows { features, in_channels: depth, packed, columns } = self.rows;
         let width = columns.next_multiple_of(16);
         let Scratch { patches, sums } = self.scratch;
-        if patches.len() < ROWS * depth {
-            patches.resize(ROWS * depth, 0.0);
-        }
+        patches.reserve_len(ROWS * depth);
+        sums.reserve_len(ROWS * width);
         let count = self.output.len() / self.stride;
         for block in (0..count).step_by(ROWS) {
             let live = ROWS.min(count - block);
@@ -97,11 +97,10 @@ impl Operation for RowsTask<'_> {
                 Some(rows) => rows,
                 None => {
                     patches[..live * depth].copy_from_slice(&features[first..first + live * depth]);
-                    patches.as_slice()
+                    &*patches
                 }
             };
-            sums.clear();
-            sums.resize(ROWS * width, 0.0);
+            sums[..ROWS * width].fill(0.0);
             for (first, panel) in panels(columns) {
                 I::multiply(Product {
                     rows: live,
@@ -164,13 +163,15 @@ impl Gather<'_> {
                 let ahead = (pair + PREFETCH_PAIRS).min(last);
                 let next = geometry.indices[ahead] as usize * stride;
                 let next_block = &geometry.blocks[ahead / LANES];
+                let next = &products[next + next_block.cell[ahead % LANES] as usize * G..];
                 for corner in (0..geometry.corners).step_by(2) {
-                    I::prefetch(&products[next + next_block.cells[corner][ahead % LANES] as usize * G]);
+                    I::prefetch(&next[geometry.steps[corner] * G]);
                 }
                 let own = &products[geometry.indices[pair] as usize * stride..][..stride];
+                let own = &own[block.cell[lane] as usize * G..];
                 for corner in 0..geometry.corners {
                     let weight = I::quad_splat(block.weights[corner][lane]);
-                    let product = &own[block.cells[corner][lane] as usize * G..][..G];
+                    let product = &own[geometry.steps[corner] * G..][..G];
                     for (sum, product) in sums[corner % 4].iter_mut().zip(product.chunks_exact(4)) {
                         *sum = I::quad_multiply_add(weight, I::quad_load(product), *sum);
                     }
