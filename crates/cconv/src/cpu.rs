@@ -28,7 +28,6 @@ use rayon::prelude::*;
 use crate::aligned::AlignedVec;
 use crate::filter::{Layout, panels};
 use crate::{Filter, Geometry};
-#[cfg(test)]
 pub(crate) use portable::Portable;
 
 /// Rows that one call of the matrix product works on: a multiple of the rows of every register tile.
@@ -93,7 +92,7 @@ impl Kernel {
             // SAFETY: as above.
             #[cfg(all(target_arch = "x86_64", not(fluvia_portable)))]
             Set::Avx2 => unsafe { avx2::run(operation) },
-            Set::Portable => operation.run::<portable::Portable>(),
+            Set::Portable => operation.run::<Portable>(),
         }
     }
 }
