@@ -28,7 +28,7 @@ pub(super) fn parse(bytes: &[u8]) -> Parsed<Columns> {
         let event = reader.read_event().map_err(|error| {
             let before = text.bytes().take(reader.error_position() as usize);
             let line = 1 + before.filter(|&byte| byte == b'\n').count();
-            format!("line {line}: no XML: {}", shown(&error.to_string()))
+            format!("line {line}: truncated or no XML: {}", shown(&error.to_string()))
         })?;
         match event {
             Event::Start(tag) => parser.start(&tag)?,
