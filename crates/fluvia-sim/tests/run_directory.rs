@@ -1,5 +1,7 @@
 //! The directory of a run: what each mode keeps and removes, what a failed run leaves, and the index for ParaView.
 
+#![allow(clippy::unwrap_used, reason = "a test that fails says where")]
+
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;

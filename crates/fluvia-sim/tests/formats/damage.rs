@@ -19,11 +19,8 @@ fn every_truncation_is_an_error() {
             Format::Npz | Format::Ply => 0,
             Format::Bgeo => b"\x00\xff".len(),
             Format::Vtk => b"\n".len(),
-            Format::Vtu => {
-                // The points come before the cells: three lengths, and a connectivity, an offset and a type a cell.
-                let cells = 3 * 8 + 3 * (8 + 8 + 1);
-                cells + b"\n</AppendedData>\n</VTKFile>\n".len()
-            }
+            // The end of the XML may lack the line end only.
+            Format::Vtu => b"\n".len(),
         };
         let whole = parse(format, &bytes).unwrap();
         for length in 0..bytes.len() - spare {

@@ -1,6 +1,8 @@
 //! Particle files: what is written reads back to the same bits, odd files of other programs are read, and damaged
 //! ones are one-line errors within bounded memory.
 
+#![allow(clippy::unwrap_used, reason = "a test that fails says where")]
+
 use std::fs;
 use std::path::{Path, PathBuf};
 

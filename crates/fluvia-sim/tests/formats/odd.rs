@@ -327,6 +327,22 @@ fn vtu_in_all_its_encodings() {
                 one_piece(&points)
             ),
         ),
+        [
+            vtu(
+                "header_type=\"UInt64\" byte_order=\"BigEndian\"",
+                "format=\"appended\" offset=\"0\">",
+                "format=\"appended\" offset=\"20\">",
+                "<AppendedData encoding=\"raw\">\n_",
+            )
+            .strip_suffix(b"</VTKFile>\n")
+            .unwrap(),
+            &count,
+            &big(&points),
+            &count,
+            &big(&velocity),
+            b"\n</AppendedData></VTKFile>",
+        ]
+        .concat(),
     ];
     for (number, bytes) in files.iter().enumerate() {
         let data = parse(Format::Vtu, bytes).unwrap_or_else(|message| panic!("file {number}: {message}"));
