@@ -40,7 +40,7 @@ pub(super) fn parse(bytes: &[u8]) -> Parsed<Columns> {
             }
             Event::End(tag) => parser.end(tag.name().as_ref())?,
             Event::Text(content) => {
-                if let Some(array) = &mut parser.array {
+                if let Some(array) = parser.array.as_mut().filter(|_| parser.inner == 0) {
                     array.text.push_str(&content);
                 }
             }
@@ -149,6 +149,8 @@ struct Wanted {
 #[derive(Default)]
 struct Parser {
     appended: Option<Appended>,
+    /// How much of the appended data has been read.
+    used: usize,
     encoding: Encoding,
     has_root: bool,
     complete: bool,
@@ -156,12 +158,18 @@ struct Parser {
     /// Points of the present piece.
     points: usize,
     array: Option<Wanted>,
+    /// How many elements within that of the array are open; ParaView keeps ranges there.
+    inner: usize,
     piece: Columns,
     columns: Columns,
 }
 
 impl Parser {
     fn start(&mut self, tag: &BytesStart<'_>) -> Parsed<()> {
+        if self.array.is_some() {
+            self.inner += 1;
+            return Ok(());
+        }
         match tag.name().as_ref() {
             "VTKFile" => {
                 self.has_root = true;
@@ -186,6 +194,10 @@ impl Parser {
     }
 
     fn end(&mut self, name: &str) -> Parsed<()> {
+        if self.inner > 0 {
+            self.inner -= 1;
+            return Ok(());
+        }
         match name {
             "VTKFile" => self.complete = true,
             "Points" | "PointData" => self.section = Section::Other,
@@ -243,7 +255,7 @@ impl Parser {
         Ok(Some(Wanted { quantity, name, width, scalar, format, offset, text: String::new() }))
     }
 
-    fn values(&self, array: &Wanted) -> Parsed<Vec<f64>> {
+    fn values(&mut self, array: &Wanted) -> Parsed<Vec<f64>> {
         let Some(total) = self.points.checked_mul(array.width) else {
             return Err(format!("{} points of {} values claimed", self.points, array.width));
         };
@@ -259,7 +271,14 @@ impl Parser {
         let Some(expected) = total.checked_mul(array.scalar.size()) else {
             return Err(format!("{total} values claimed"));
         };
-        let bytes = source.decode(&self.encoding, expected)?;
+        let (bytes, used) = source.decode(&self.encoding, expected)?;
+        if let ("appended", Some(appended)) = (array.format.as_str(), &self.appended) {
+            // Arrays that share their data could be many times the size of the file.
+            self.used += used;
+            if self.used > appended.len() {
+                return Err("its data overlaps that of another array".into());
+            }
+        }
         Ok(array.scalar.decode_all(self.encoding.order, &bytes))
     }
 }

@@ -91,6 +91,22 @@ fn a_small_file_that_unpacks_to_much_is_read_no_further_than_its_shape() {
     rejected(Format::Vtu, &bytes, &["'velocity'", "more"]);
 }
 
+#[test]
+fn pieces_that_share_their_data_are_refused() {
+    const POINTS: usize = 2000;
+    let array = "<DataArray type=\"Float32\" NumberOfComponents=\"3\" format=\"appended\" offset=\"0\"/>";
+    let piece = format!("<Piece NumberOfPoints=\"{POINTS}\"><Points>{array}</Points></Piece>");
+    let bytes = [
+        b"<VTKFile type=\"PolyData\"><PolyData>",
+        piece.repeat(500).as_bytes(),
+        b"</PolyData><AppendedData encoding=\"raw\">_",
+        &(12 * POINTS as u32).to_le_bytes(),
+        &[0; 12 * POINTS],
+        b"</AppendedData></VTKFile>",
+    ];
+    rejected(Format::Vtu, &bytes.concat(), &["'points'", "overlaps"]);
+}
+
 /// A change to a file.
 #[derive(Clone, Debug)]
 enum Damage {

@@ -308,6 +308,13 @@ fn vtu_in_all_its_encodings() {
     let zlib_attribute = "byte_order=\"LittleEndian\" compressor=\"vtkZLibDataCompressor\"";
     let files = [
         vtu("", "format=\"ascii\">\n1 2\n3e0", "format=\"ascii\">4 5 6", ""),
+        // ParaView puts ranges into the element of an array.
+        vtu(
+            "",
+            "format=\"ascii\">1 2 3<InformationKey name=\"RANGE\" length=\"2\"><Value>0</Value></InformationKey>",
+            "format=\"ascii\"><InformationKey><Value index=\"0\">7</Value></InformationKey>4 5 6",
+            "",
+        ),
         vtu("", &inline(&points), &inline(&velocity), ""),
         vtu(
             "byte_order=\"BigEndian\" header_type=\"UInt64\"",
