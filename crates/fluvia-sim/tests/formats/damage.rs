@@ -1,6 +1,7 @@
 //! Files cut short, changed at random, or with counts that are not true: errors, not panics, within bounded memory.
 
 use std::fs;
+use std::io::Write;
 
 use fluvia_sim::frames::{Format, State};
 use proptest::prelude::*;
@@ -92,13 +93,20 @@ fn a_small_file_that_unpacks_to_much_is_read_no_further_than_its_shape() {
 }
 
 #[test]
-fn pieces_that_share_their_data_are_refused() {
+fn arrays_that_share_their_data_are_refused() {
+    let mut zip = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
+    zip.start_file("pos.npy", zip::write::SimpleFileOptions::default()).unwrap();
+    zip.write_all(&npy("<f4", false, "(1, 3)", &[0; 12])).unwrap();
+    zip.shallow_copy_file("pos.npy", "vel.npy").unwrap();
+    rejected(Format::Npz, zip.finish().unwrap().get_ref(), &["share"]);
+
     const POINTS: usize = 2000;
     let array = "<DataArray type=\"Float32\" NumberOfComponents=\"3\" format=\"appended\" offset=\"0\"/>";
     let piece = format!("<Piece NumberOfPoints=\"{POINTS}\"><Points>{array}</Points></Piece>");
+    let pieces = piece.repeat(500);
     let bytes = [
         b"<VTKFile type=\"PolyData\"><PolyData>",
-        piece.repeat(500).as_bytes(),
+        pieces.as_bytes(),
         b"</PolyData><AppendedData encoding=\"raw\">_",
         &(12 * POINTS as u32).to_le_bytes(),
         &[0; 12 * POINTS],
