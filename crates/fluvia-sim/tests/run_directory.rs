@@ -166,9 +166,27 @@ fn a_run_that_fails_before_its_first_frame_leaves_nothing() {
     // The first format can hold this identity, the second cannot.
     let odd = Particles { id: vec![u32::MAX], ..particles(1) };
     assert!(matches!(run.write_frame(0, &odd), Err(Error::Io { .. })));
-    assert!(path.join("fluid_0000.npz").exists());
+    assert_eq!(names(&path), set(&["box.bgeo", "box.npz", "run.json"]));
     drop(run);
     assert_eq!(names(folder.path()), set(&[]));
+}
+
+#[test]
+fn a_frame_that_fails_is_there_in_no_format_and_those_before_it_are_whole() {
+    let folder = tempfile::tempdir().unwrap();
+    let formats = [Format::Npz, Format::Vtu, Format::Bgeo];
+    let mut run = RunDirectory::open(folder.path(), Mode::New, &formats, DT).unwrap();
+    run.write_frame(0, &particles(1)).unwrap();
+    let before = names(folder.path());
+    let odd = Particles { id: vec![u32::MAX], ..particles(1) };
+    assert!(run.write_frame(1, &odd).is_err());
+    drop(run);
+    assert_eq!(names(folder.path()), before);
+    for frame in run::list(folder.path()).unwrap() {
+        assert_eq!(fluvia_sim::frames::read(&frame.path).unwrap().position.len(), 1);
+    }
+    let index = fs::read_to_string(folder.path().join("fluid.pvd")).unwrap();
+    assert_eq!(index.matches("<DataSet").count(), 1);
 }
 
 #[cfg(target_os = "linux")]
