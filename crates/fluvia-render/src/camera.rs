@@ -85,6 +85,9 @@ pub struct Camera {
     focal: f64,
     shift: [f64; 2],
     near: f64,
+    /// Up, a unit vector, and the height along it above which walls are cut away, metres.
+    up: [f64; 3],
+    top: f64,
     width: u32,
     height: u32,
 }
@@ -107,7 +110,7 @@ impl Camera {
     pub fn fit(subject: &Subject<'_>, view: &View) -> Result<Camera> {
         check(view)?;
         let radius = f64::from(subject.radius).max(f64::MIN_POSITIVE);
-        let points = points_to_show(subject, view, radius);
+        let (points, top) = points_to_show(subject, view, radius);
         let bounds = points.iter().fold(Bounds::EMPTY, |bounds, p| bounds.with(p));
         let [wide, tall, deep] = bounds.size();
         let distance = (DISTANCE * wide.hypot(deep))
@@ -122,6 +125,8 @@ impl Camera {
             focal: 1.0,
             shift: [0.0; 2],
             near: NEAR * distance,
+            up: upright(subject.up)[1],
+            top,
             width: view.width,
             height: view.width,
         };
@@ -158,6 +163,16 @@ impl Camera {
         let [x, y, depth] = self.project_wide(point.map(f64::from));
         let seen = depth > self.near && (x + y + depth).is_finite();
         seen.then_some([x as f32, y as f32, depth as f32])
+    }
+
+    /// Whether a wall point lies above the scene's top, where walls are cut away.
+    pub(crate) fn cuts_away(&self, point: [f32; 3]) -> bool {
+        (0..3).map(|k| self.up[k] * f64::from(point[k])).sum::<f64>() > self.top
+    }
+
+    /// A direction in the camera's axes: right, up, to the viewer.
+    pub(crate) fn turn(&self, direction: [f32; 3]) -> [f32; 3] {
+        rotate(&self.axes, direction.map(f64::from)).map(|x| x as f32)
     }
 
     /// Chooses focal length, shift and height so that `points` fill the picture to its margins.
@@ -211,8 +226,8 @@ fn check(view: &View) -> Result<()> {
     }
 }
 
-/// The points that must lie inside the picture, y up.
-fn points_to_show(subject: &Subject<'_>, view: &View, radius: f64) -> Vec<[f64; 3]> {
+/// The points that must lie inside the picture, y up, and the height of the scene's top.
+fn points_to_show(subject: &Subject<'_>, view: &View, radius: f64) -> (Vec<[f64; 3]>, f64) {
     let upright = upright(subject.up);
     let walls: Vec<[f64; 3]> = subject
         .walls
@@ -225,7 +240,8 @@ fn points_to_show(subject: &Subject<'_>, view: &View, radius: f64) -> Vec<[f64; 
     let bounds = walls.iter().fold(Bounds::EMPTY, |bounds, p| bounds.with(p));
     if bounds.is_empty() {
         let all = if particles.is_empty() { Bounds::EMPTY.with(&[0.0; 3]).grown_by(1.0) } else { particles };
-        return all.capped(view.top).corners().to_vec();
+        let all = all.capped(view.top);
+        return (all.corners().to_vec(), all.high[1]);
     }
     // Above open walls particles may go as high again as the scene is large; beyond that they have been thrown out.
     let ceiling = bounds.high[1] + bounds.size().into_iter().fold(0.0, f64::max);
@@ -236,7 +252,7 @@ fn points_to_show(subject: &Subject<'_>, view: &View, radius: f64) -> Vec<[f64; 
     };
     // A view that ends below the walls would show none of them: show all.
     let below: Vec<[f64; 3]> = walls.iter().copied().filter(|p| p[1] <= top).collect();
-    let mut points = if below.is_empty() { walls } else { below };
+    let (mut points, top) = if below.is_empty() { (walls, bounds.high[1]) } else { (below, top) };
     if top > bounds.high[1] && !particles.is_empty() {
         let over = Bounds {
             low: std::array::from_fn(|k| particles.low[k].clamp(bounds.low[k], bounds.high[k])),
@@ -248,7 +264,7 @@ fn points_to_show(subject: &Subject<'_>, view: &View, radius: f64) -> Vec<[f64; 
         };
         points.extend(over.corners());
     }
-    points
+    (points, top)
 }
 
 /// Right, up, back for a yaw and a pitch, y up.

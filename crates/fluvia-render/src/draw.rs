@@ -139,9 +139,9 @@ const BLUR: f64 = 1.2;
 /// The direction to the lamp, a unit vector: right, up, to the viewer.
 const LIGHT: [f32; 3] = [-0.48, 0.72, 0.5];
 /// Light on each sphere: in its shadow, and what the lamp adds.
-const SPHERE_LIGHT: [f32; 2] = [0.44, 0.72];
+const SPHERE_LIGHT: [f32; 2] = [0.42, 0.72];
 /// Light on the broad surface: in its shadow, and what the lamp adds.
-const BROAD_LIGHT: [f32; 2] = [0.74, 0.42];
+const BROAD_LIGHT: [f32; 2] = [0.73, 0.40];
 /// Strength of the highlight, 8-bit levels.
 const HIGHLIGHT: f32 = 60.0;
 /// Gaps as deep as this many radii would be black, were it not for the limit.
@@ -244,12 +244,12 @@ fn discs(frame: &Frame<'_>, camera: &Camera, style: &Style) -> Vec<Disc> {
     frame.position.par_iter().enumerate().filter_map(disc).collect()
 }
 
-/// What a wall point covers of a pixel; points that lie close add up.
-const DOT_COVER: f32 = 0.22;
+/// What a wall point covers of a pixel: in shadow, and what the lamp adds. Points that lie close add up.
+const DOT_COVER: [f32; 2] = [0.22, 0.10];
 /// The most that wall points cover of a pixel.
 const DOT_LIMIT: f32 = 0.7;
 /// The side of a wall point in particle radii, ...
-const DOT_SIDE: f32 = 0.22;
+const DOT_SIDE: f32 = 0.32;
 /// ... and at least and at most in pixels of the picture.
 const DOT_SIDE_PIXELS: [f32; 2] = [0.67, 2.0];
 
@@ -260,9 +260,15 @@ fn wall_dots(walls: Walls<'_>, depth: &DepthBuffer, camera: &Camera, style: &Sty
     let limit = (255.0 * DOT_LIMIT) as u8;
     let eye = camera.eye();
     for (i, &point) in walls.position.iter().enumerate() {
-        let facing =
-            walls.normal.get(i).is_none_or(|n| (0..3).map(|k| (eye[k] - point[k]) * n[k]).sum::<f32>() > 0.0);
-        let Some([x, y, far]) = camera.project(point).filter(|_| facing) else { continue };
+        let cover = match walls.normal.get(i) {
+            Some(n) if (0..3).map(|k| (eye[k] - point[k]) * n[k]).sum::<f32>() > 0.0 => {
+                let lit = camera.turn(*n).iter().zip(LIGHT).map(|(n, light)| n * light).sum::<f32>();
+                DOT_COVER[0] + DOT_COVER[1] * lit.clamp(0.0, 1.0)
+            }
+            Some(_) => continue,
+            None => DOT_COVER[0],
+        };
+        let Some([x, y, far]) = camera.project(point).filter(|_| !camera.cuts_away(point)) else { continue };
         let side =
             (DOT_SIDE * camera.focal() * style.radius / far).clamp(DOT_SIDE_PIXELS[0], DOT_SIDE_PIXELS[1]);
         let side = (samples * side).round().max(1.0) as usize;
@@ -275,7 +281,7 @@ fn wall_dots(walls: Walls<'_>, depth: &DepthBuffer, camera: &Camera, style: &Sty
             for column in (left as usize)..(left as usize + side).min(depth.width) {
                 let pixel = row * depth.width + column;
                 if depth.at(pixel).is_none_or(|(_, near)| far < near) {
-                    dots[pixel] = dots[pixel].saturating_add((255.0 * DOT_COVER) as u8).min(limit);
+                    dots[pixel] = dots[pixel].saturating_add((255.0 * cover) as u8).min(limit);
                 }
             }
         }
