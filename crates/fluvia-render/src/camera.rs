@@ -85,6 +85,9 @@ pub struct Camera {
     focal: f64,
     shift: [f64; 2],
     near: f64,
+    /// Depths of the scene's centre and of its farthest point, metres.
+    middle: f64,
+    far: f64,
     /// Up, a unit vector, and the height along it above which walls are cut away, metres.
     up: [f64; 3],
     top: f64,
@@ -125,12 +128,15 @@ impl Camera {
             focal: 1.0,
             shift: [0.0; 2],
             near: NEAR * distance,
+            middle: distance,
+            far: 0.0,
             up: upright(subject.up)[1],
             top,
             width: view.width,
             height: view.width,
         };
-        camera.frame(&points, view);
+        camera.frame(&points, view, 2.0 * radius / distance);
+        camera.far = points.iter().map(|&point| camera.project_wide(point)[2]).fold(distance, f64::max);
         let upright = upright(subject.up);
         camera.axes = camera.axes.map(|axis| rotate_back(&upright, axis));
         camera.eye = rotate_back(&upright, camera.eye);
@@ -165,6 +171,16 @@ impl Camera {
         seen.then_some([x as f32, y as f32, depth as f32])
     }
 
+    /// The depth of the scene's centre, metres.
+    pub(crate) fn middle(&self) -> f32 {
+        self.middle as f32
+    }
+
+    /// The depth of the scene's farthest point, metres.
+    pub(crate) fn far(&self) -> f32 {
+        self.far as f32
+    }
+
     /// Whether a wall point lies above the scene's top, where walls are cut away.
     pub(crate) fn cuts_away(&self, point: [f32; 3]) -> bool {
         (0..3).map(|k| self.up[k] * f64::from(point[k])).sum::<f64>() > self.top
@@ -175,8 +191,9 @@ impl Camera {
         rotate(&self.axes, direction.map(f64::from)).map(|x| x as f32)
     }
 
-    /// Chooses focal length, shift and height so that `points` fill the picture to its margins.
-    fn frame(&mut self, points: &[[f64; 3]], view: &View) {
+    /// Chooses focal length, shift and height so that `points` fill the picture to its margins; `least` is the
+    /// least extent to fill it with, at a focal length of 1.
+    fn frame(&mut self, points: &[[f64; 3]], view: &View, least: f64) {
         let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
         for &point in points {
             let [x, y, _] = self.project_wide(point);
@@ -185,7 +202,8 @@ impl Camera {
                 high[k] = high[k].max(value);
             }
         }
-        let span = [0, 1].map(|k| (high[k] - low[k]).max(f64::MIN_POSITIVE));
+        // A scene without extent is shown as large as a particle.
+        let span = [0, 1].map(|k| (high[k] - low[k]).max(least));
         let margin = f64::from(view.margin.min(view.width / 4));
         let width = f64::from(view.width);
         let natural = (width - 2.0 * margin) / span[0] * span[1] + 2.0 * margin;

@@ -120,8 +120,11 @@ pub fn draw_frame(frame: &Frame<'_>, walls: Walls<'_>, camera: &Camera, style: &
     let discs = discs(frame, camera, style);
     let (width, height) = (camera.width() as usize * samples, camera.height() as usize * samples);
     let depth = DepthBuffer::draw(&discs, style.radius, width, height);
-    let mean_reach = discs.iter().map(|d| f64::from(d.reach)).sum::<f64>() / discs.len().max(1) as f64;
-    let smooth = blur(&depth.filled(), width, height, (BLUR * mean_reach).round() as usize);
+    // At the resolution of the picture, as a blurred surface has no finer detail. Its radius and the depth of
+    // the background depend on the camera alone: light must not jump from frame to frame of a film.
+    let radius = BLUR * camera.focal() * style.radius / camera.middle();
+    let sharp = depth.reduced(samples, camera.far());
+    let smooth = blur(&sharp, width / samples, height / samples, radius.round().max(1.0) as usize);
     let dots = wall_dots(walls, &depth, camera, style);
     let mut seen = vec![[0.0; 3]; frame.position.len()];
     for disc in &discs {
@@ -129,13 +132,13 @@ pub fn draw_frame(frame: &Frame<'_>, walls: Walls<'_>, camera: &Camera, style: &
     }
     let ramp = Ramp::new();
     let color: Vec<Rgb> = (0..frame.position.len()).map(|i| frame.color(i, style, &ramp)).collect();
-    let focal = camera.focal() * samples as f32;
-    let scene = Scene { depth, smooth, dots, seen, color, focal, radius: style.radius };
+    let (focal, radius) = (camera.focal(), style.radius);
+    let scene = Scene { depth, smooth, dots, seen, color, focal, radius };
     Ok(scene.shade(samples))
 }
 
 /// Width of the blur that makes the broad surface, in particle radii.
-const BLUR: f64 = 1.2;
+const BLUR: f32 = 1.2;
 /// The direction to the lamp, a unit vector: right, up, to the viewer.
 const LIGHT: [f32; 3] = [-0.48, 0.72, 0.5];
 /// Light on each sphere: in its shadow, and what the lamp adds.
@@ -149,14 +152,14 @@ const GAP_DEPTH: f32 = 8.0;
 /// The largest part of the light that a gap takes.
 const GAP_LIMIT: f32 = 0.5;
 
-/// Everything that the colour of a pixel depends on; pixels are supersampled.
+/// Everything that the colour of a pixel depends on. A pixel averages several samples, the pixels of `depth`.
 struct Scene {
     depth: DepthBuffer,
-    /// The blurred depth, metres.
+    /// The blurred depth of each pixel of the picture, metres.
     smooth: Vec<f32>,
-    /// How much of each pixel wall points cover, 0..=255.
+    /// How much of each sample wall points cover, 0..=255.
     dots: Vec<u8>,
-    /// x, y and radius of each particle's disc, pixels.
+    /// x, y and radius of each particle's disc, samples.
     seen: Vec<[f32; 3]>,
     color: Vec<Rgb>,
     focal: f32,
@@ -164,16 +167,17 @@ struct Scene {
 }
 
 impl Scene {
-    /// Shades all pixels and averages `samples` x `samples` of them into one.
+    /// Shades all samples and averages `samples` x `samples` of them into a pixel.
     fn shade(&self, samples: usize) -> Image {
         let (width, height) = (self.depth.width / samples, self.depth.height / samples);
         let mut data = vec![0; 3 * width * height];
         data.par_chunks_mut(3 * width).enumerate().for_each(|(y, row)| {
             for (x, pixel) in row.chunks_exact_mut(3).enumerate() {
+                let surface = self.surface(x, y, width, height);
                 let mut sum = [0.0; 3];
                 for sample in 0..samples * samples {
-                    let color = self.pixel(samples * x + sample % samples, samples * y + sample / samples);
-                    for (sum, channel) in sum.iter_mut().zip(color) {
+                    let at = [samples * x + sample % samples, samples * y + sample / samples];
+                    for (sum, channel) in sum.iter_mut().zip(self.sample(at, &surface)) {
                         *sum += channel.clamp(0.0, 255.0);
                     }
                 }
@@ -185,28 +189,28 @@ impl Scene {
         Image { width: width as u32, height: height as u32, data }
     }
 
-    fn pixel(&self, x: usize, y: usize) -> [f32; 3] {
+    fn sample(&self, [x, y]: [usize; 2], surface: &Surface) -> [f32; 3] {
         let at = y * self.depth.width + x;
         let color = match self.depth.at(at) {
-            Some((particle, depth)) => self.sphere(x, y, particle as usize, depth),
+            Some((particle, depth)) => self.sphere([x, y], particle as usize, depth, surface),
             None => TILE.map(f32::from),
         };
         let cover = f32::from(self.dots[at]) / 255.0;
         std::array::from_fn(|k| color[k] + cover * (f32::from(WALL[k]) - color[k]))
     }
 
-    fn sphere(&self, x: usize, y: usize, particle: usize, depth: f32) -> [f32; 3] {
+    fn sphere(&self, [x, y]: [usize; 2], particle: usize, depth: f32, surface: &Surface) -> [f32; 3] {
         let [centre_x, centre_y, reach] = self.seen[particle];
         let right = (x as f32 + 0.5 - centre_x) / reach;
         let up = (centre_y - y as f32 - 0.5) / reach;
         let front = (1.0 - right * right - up * up).max(0.0).sqrt();
         let lit = (LIGHT[0] * right + LIGHT[1] * up + LIGHT[2] * front).clamp(0.0, 1.0);
 
-        let [slope_x, slope_y] = self.slope(x, y, depth);
+        // Metres by which the surface recedes per metre to the right and down.
+        let [slope_x, slope_y] = surface.slope.map(|slope| slope * self.focal / depth);
         let broad = (LIGHT[0] * slope_x - LIGHT[1] * slope_y + LIGHT[2])
             / (1.0 + slope_x * slope_x + slope_y * slope_y).sqrt();
-        let behind = depth - self.smooth[y * self.depth.width + x];
-        let gap = (behind / (GAP_DEPTH * self.radius)).clamp(0.0, GAP_LIMIT);
+        let gap = ((depth - surface.depth) / (GAP_DEPTH * self.radius)).clamp(0.0, GAP_LIMIT);
 
         let light = (1.0 - gap)
             * (SPHERE_LIGHT[0] + SPHERE_LIGHT[1] * lit)
@@ -215,19 +219,21 @@ impl Scene {
         self.color[particle].map(|channel| light * f32::from(channel) + highlight)
     }
 
-    /// Metres by which the blurred surface recedes per metre to the right and down.
-    fn slope(&self, x: usize, y: usize, depth: f32) -> [f32; 2] {
-        let (width, height) = (self.depth.width, self.depth.height);
+    /// The blurred surface at a pixel of the picture.
+    fn surface(&self, x: usize, y: usize, width: usize, height: usize) -> Surface {
         let [left, right] = [x.saturating_sub(1), (x + 1).min(width - 1)];
         let [above, below] = [y.saturating_sub(1), (y + 1).min(height - 1)];
         let across = self.smooth[y * width + right] - self.smooth[y * width + left];
         let down = self.smooth[below * width + x] - self.smooth[above * width + x];
-        let pixels_per_metre = self.focal / depth;
-        [
-            across * pixels_per_metre / (right - left).max(1) as f32,
-            down * pixels_per_metre / (below - above).max(1) as f32,
-        ]
+        let slope = [across / (right - left).max(1) as f32, down / (below - above).max(1) as f32];
+        Surface { depth: self.smooth[y * width + x], slope }
     }
+}
+
+/// The blurred surface at a pixel: its depth, metres, and by how much it recedes per pixel to the right and down.
+struct Surface {
+    depth: f32,
+    slope: [f32; 2],
 }
 
 /// The least radius of a disc, supersampled pixels: a square's half diagonal, so that the smallest particle

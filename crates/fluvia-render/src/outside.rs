@@ -144,7 +144,7 @@ mod tests {
         normal.extend(normal.clone().iter().map(|n| n.map(|x| -x)));
         position.extend(inner);
         let walls = Walls { position: &position, normal: &normal };
-        let particles = [[0.25, 0.25, 0.25], [0.48, 0.525, 0.25], [0.525, 0.48, 0.25], [0.45, 0.25, 0.25]];
+        let particles = [[0.4, 0.3, 0.3], [0.48, 0.525, 0.25], [0.525, 0.48, 0.25], [0.45, 0.25, 0.25]];
         assert_eq!(outside(&particles, walls, 0.025), [true, false, false, true]);
     }
 

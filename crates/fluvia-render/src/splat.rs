@@ -53,14 +53,16 @@ impl DepthBuffer {
         (key != NOTHING).then_some((key as u32, f32::from_bits((key >> 32) as u32)))
     }
 
-    /// The depths; where nothing is, the largest depth that is, or 0 if nothing is anywhere.
-    pub fn filled(&self) -> Vec<f32> {
-        let farthest = (0..self.keys.len())
-            .into_par_iter()
-            .map(|pixel| self.at(pixel).map_or(0.0, |(_, depth)| depth))
-            .reduce(|| 0.0, f32::max);
-        let depth = |pixel| self.at(pixel).map_or(farthest, |(_, depth)| depth);
-        (0..self.keys.len()).into_par_iter().map(depth).collect()
+    /// The mean depth in blocks of `side` x `side` pixels, as an image; pixels that show nothing count as `far`.
+    pub fn reduced(&self, side: usize, far: f32) -> Vec<f32> {
+        let (width, height) = (self.width / side, self.height / side);
+        let mean = |block: usize| {
+            let corner = side * (block / width * self.width + block % width);
+            let pixels = (0..side * side).map(|i| corner + i / side * self.width + i % side);
+            let sum: f32 = pixels.map(|pixel| self.at(pixel).map_or(far, |(_, depth)| depth)).sum();
+            sum / (side * side) as f32
+        };
+        (0..width * height).into_par_iter().map(mean).collect()
     }
 }
 
@@ -125,6 +127,7 @@ pub(crate) fn blur(values: &[f32], width: usize, height: usize, radius: usize) -
     if values.is_empty() {
         return Vec::new();
     }
+    let radius = radius.min(width.max(height));
     let mut rows = values.to_vec();
     blur_rows(&mut rows, width, radius);
     let mut columns = transpose(&rows, width, height);
