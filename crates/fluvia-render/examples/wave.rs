@@ -11,8 +11,8 @@ use std::f32::consts::TAU;
 use std::path::PathBuf;
 
 use fluvia_render::{
-    Camera, Frame, GifEncoder, Image, Palette, Row, Scale, Sheet, Style, Subject, Tile, Values, View, Walls,
-    draw_frame, encode_png, outside, sheet, speeds,
+    Camera, Frame, GifEncoder, Image, OutsideTest, Palette, Row, Scale, Sheet, Style, Subject, Tile, Values,
+    View, Walls, draw_frame, encode_png, sheet, speeds,
 };
 
 /// Particle radius, metres; particles are two radii apart.
@@ -26,7 +26,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let directory = PathBuf::from(std::env::args().nth(1).unwrap_or_else(|| ".".to_owned()));
     let (wall, normal) = tank();
     let walls = Walls { position: &wall, normal: &normal };
-    let moments: Vec<Moment> = (0..FRAMES).map(|frame| wave(frame as f32 / FRAMES as f32)).collect();
+    let test = OutsideTest::new(walls, RADIUS);
+    let moments: Vec<Moment> = (0..FRAMES).map(|frame| wave(frame as f32 / FRAMES as f32, &test)).collect();
 
     // One camera and one colour scale for all pictures.
     let style = Style { radius: RADIUS, scale: Scale::speed(2.0), ..Style::default() };
@@ -79,7 +80,7 @@ impl Moment {
 }
 
 /// A travelling wave: columns of water on a lattice, stretched in time with the surface above them.
-fn wave(phase: f32) -> Moment {
+fn wave(phase: f32, test: &OutsideTest) -> Moment {
     let [columns, layers, rows] = [TANK[0], 0.5, TANK[2]].map(|side| (side / (2.0 * RADIUS)) as usize);
     let (mut position, mut velocity) = (Vec::new(), Vec::new());
     for (i, j, k) in
@@ -95,8 +96,7 @@ fn wave(phase: f32) -> Moment {
     // One drop has left the tank: it is marked.
     position.push([-0.1, 0.4 * TANK[1], 0.5 * TANK[2]]);
     velocity.push([0.0; 3]);
-    let (wall, normal) = tank();
-    let outside = outside(&position, Walls { position: &wall, normal: &normal }, RADIUS);
+    let outside = test.mark(&position);
     Moment { speed: speeds(&velocity), position, outside }
 }
 

@@ -16,7 +16,7 @@ pub struct View {
     pub pitch: f32,
     /// Width of the picture, pixels.
     pub width: u32,
-    /// Height of the picture, pixels; `None`: as the scene needs, between [`ASPECT`] times the width.
+    /// Height of the picture, pixels; `None`: as the scene needs, 0.4 to 1.8 times the width.
     pub height: Option<u32>,
     /// Free pixels at each edge.
     pub margin: u32,
@@ -25,7 +25,7 @@ pub struct View {
 }
 
 /// The lowest and highest ratio of height to width that a camera chooses by itself.
-pub const ASPECT: [f64; 2] = [0.4, 1.8];
+const ASPECT: [f64; 2] = [0.4, 1.8];
 /// The largest side of a picture, pixels: what viewers still open.
 const MAX_SIDE: u32 = 16_384;
 /// The steepest pitch, degrees: straight up and down the horizontal directions are lost.

@@ -20,7 +20,7 @@ pub struct Frame<'a> {
     pub position: &'a [[f32; 3]],
     /// What gives the particles their colours.
     pub values: Values<'a>,
-    /// Which particles are marked in orange (see [`outside()`](crate::outside())); empty: none.
+    /// Which particles are marked in orange (see [`OutsideTest`](crate::OutsideTest)); empty: none.
     pub outside: &'a [bool],
 }
 
@@ -102,8 +102,8 @@ impl Frame<'_> {
     }
 }
 
-/// Memory that a picture may take while it is drawn, in supersampled pixels (about 20 bytes each).
-const MAX_SAMPLES: u64 = 1 << 28;
+/// The largest picture, in samples: it takes about 9 bytes for each while it is drawn.
+const MAX_SAMPLES: u64 = 1 << 27;
 
 /// Draws the particles and walls as `camera` sees them. Particles that are not finite, behind the camera or
 /// at it are left out.
@@ -247,7 +247,10 @@ fn discs(frame: &Frame<'_>, camera: &Camera, style: &Style) -> Vec<Disc> {
         let reach = (samples * camera.focal() * style.radius / depth).max(LEAST_REACH);
         Some(Disc { x: samples * x, y: samples * y, depth, reach, particle: particle as u32 })
     };
-    frame.position.par_iter().enumerate().filter_map(disc).collect()
+    let mut discs: Vec<Disc> = frame.position.par_iter().enumerate().filter_map(disc).collect();
+    // From front to back, for speed alone.
+    discs.par_sort_unstable_by(|a, b| a.depth.total_cmp(&b.depth).then(a.particle.cmp(&b.particle)));
+    discs
 }
 
 /// What a wall point covers of a pixel: in shadow, and what the lamp adds. Points that lie close add up.
@@ -257,7 +260,10 @@ const DOT_LIMIT: f32 = 0.7;
 /// The side of a wall point in particle radii, ...
 const DOT_SIDE: f32 = 0.32;
 /// ... and at least and at most in pixels of the picture.
-const DOT_SIDE_PIXELS: [f32; 2] = [0.67, 2.0];
+const DOT_SIDE_PIXELS: [f32; 2] = [0.67, 3.0];
+/// A particle radius, in pixels of the picture, below which wall points (about as far apart) run together:
+/// each covers less then, so that walls stay faint.
+const DOT_SPACING_PIXELS: f32 = 1.6;
 
 /// How much of each pixel is covered by wall points that face the camera and lie before the particles.
 fn wall_dots(walls: Walls<'_>, depth: &DepthBuffer, camera: &Camera, style: &Style) -> Vec<u8> {
@@ -275,8 +281,9 @@ fn wall_dots(walls: Walls<'_>, depth: &DepthBuffer, camera: &Camera, style: &Sty
             None => DOT_COVER[0],
         };
         let Some([x, y, far]) = camera.project(point).filter(|_| !camera.cuts_away(point)) else { continue };
-        let side =
-            (DOT_SIDE * camera.focal() * style.radius / far).clamp(DOT_SIDE_PIXELS[0], DOT_SIDE_PIXELS[1]);
+        let reach = camera.focal() * style.radius / far;
+        let thin = (reach / DOT_SPACING_PIXELS).powi(2).min(1.0);
+        let side = (DOT_SIDE * reach).clamp(DOT_SIDE_PIXELS[0], DOT_SIDE_PIXELS[1]);
         let side = (samples * side).round().max(1.0) as usize;
         let corner = |centre: f32| (samples * centre - 0.5 * side as f32).round();
         let (left, top) = (corner(x), corner(y));
@@ -287,7 +294,7 @@ fn wall_dots(walls: Walls<'_>, depth: &DepthBuffer, camera: &Camera, style: &Sty
             for column in (left as usize)..(left as usize + side).min(depth.width) {
                 let pixel = row * depth.width + column;
                 if depth.at(pixel).is_none_or(|(_, near)| far < near) {
-                    dots[pixel] = dots[pixel].saturating_add((255.0 * cover) as u8).min(limit);
+                    dots[pixel] = dots[pixel].saturating_add((255.0 * cover * thin).ceil() as u8).min(limit);
                 }
             }
         }

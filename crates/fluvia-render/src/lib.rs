@@ -43,7 +43,7 @@ pub use draw::{Frame, Style, Values, Walls, draw_frame};
 pub use error::Error;
 pub use gif::GifEncoder;
 pub use image::{Image, encode_png};
-pub use outside::outside;
+pub use outside::OutsideTest;
 pub use palette::{Palette, PaletteBuilder};
 pub use sheet::{Row, Sheet, Tile, sheet};
 

@@ -7,46 +7,71 @@ use rayon::prelude::*;
 
 use crate::draw::Walls;
 
-/// Marks the particles outside `walls`, with `radius` in metres. Positions that are not finite are outside;
-/// without walls no other is, and without normals only the box counts.
-pub fn outside(position: &[[f32; 3]], walls: Walls<'_>, radius: f32) -> Vec<bool> {
-    let finite = |p: &[f32; 3]| p.iter().all(|x| x.is_finite());
-    let with_normals = walls.normal.len() == walls.position.len();
-    let mut points: Vec<WallPoint> = (0..walls.position.len())
-        .filter(|&i| finite(&walls.position[i]))
-        .map(|i| WallPoint {
-            position: walls.position[i],
-            normal: if with_normals { walls.normal[i] } else { [0.0; 3] },
-        })
-        .collect();
-    let (mut low, mut high) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
-    for k in 0..3 {
-        low[k] = points.iter().map(|w| w.position[k]).fold(f32::INFINITY, f32::min) - radius;
-        high[k] = points.iter().map(|w| w.position[k]).fold(f32::NEG_INFINITY, f32::max) + radius;
+/// Tells which particles are outside walls that do not move; made once for all frames.
+#[derive(Clone, Debug)]
+pub struct OutsideTest {
+    /// A k-d tree (see [`build`]).
+    points: Vec<WallPoint>,
+    /// The box around the walls, grown by a radius, metres.
+    low: [f32; 3],
+    high: [f32; 3],
+    radius: f32,
+}
+
+impl OutsideTest {
+    /// The test for `walls` and particles of a radius in metres. Without walls nothing is outside, and without
+    /// normals only the box counts.
+    pub fn new(walls: Walls<'_>, radius: f32) -> OutsideTest {
+        let with_normals = walls.normal.len() == walls.position.len();
+        let mut points: Vec<WallPoint> = (0..walls.position.len())
+            .filter(|&i| finite(&walls.position[i]))
+            .map(|i| WallPoint {
+                position: walls.position[i],
+                normal: if with_normals { walls.normal[i] } else { [0.0; 3] },
+            })
+            .collect();
+        let (mut low, mut high) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
+        for point in &points {
+            low = std::array::from_fn(|k| low[k].min(point.position[k] - radius));
+            high = std::array::from_fn(|k| high[k].max(point.position[k] + radius));
+        }
+        build(&mut points, 0);
+        OutsideTest { points, low, high, radius }
     }
-    build(&mut points, 0);
-    let is_outside = |p: &[f32; 3]| {
-        if !finite(p) || points.is_empty() {
+
+    /// Marks the particles that are outside, those that are not finite among them.
+    pub fn mark(&self, position: &[[f32; 3]]) -> Vec<bool> {
+        position.par_iter().map(|p| self.is_outside(p)).collect()
+    }
+
+    fn is_outside(&self, p: &[f32; 3]) -> bool {
+        if !finite(p) || self.points.is_empty() {
             return !finite(p);
         }
-        if (0..3).any(|k| p[k] < low[k] || p[k] > high[k]) {
+        if (0..3).any(|k| p[k] < self.low[k] || p[k] > self.high[k]) {
             return true;
         }
         let mut nearest = f32::INFINITY;
-        visit(&points, 0, p, &mut nearest, &mut |_, squared, limit| *limit = limit.min(squared));
+        visit(&self.points, 0, p, &mut nearest, &mut |_, squared, limit| *limit = limit.min(squared));
         // Wall points are about a particle radius apart: at an edge the closest may belong to either side.
-        let mut limit = (nearest.sqrt() + radius).powi(2);
+        let mut limit = (nearest.sqrt() + self.radius).powi(2);
         let mut behind_all = true;
-        visit(&points, 0, p, &mut limit, &mut |wall, _, _| {
+        visit(&self.points, 0, p, &mut limit, &mut |wall, _, limit| {
             let height: f32 = (0..3).map(|k| (p[k] - wall.position[k]) * wall.normal[k]).sum();
-            behind_all &= height < -radius;
+            if height >= -self.radius {
+                // One is enough: nothing is nearer than this.
+                (behind_all, *limit) = (false, -1.0);
+            }
         });
         behind_all
-    };
-    position.par_iter().map(is_outside).collect()
+    }
 }
 
-#[derive(Clone, Copy)]
+fn finite(point: &[f32; 3]) -> bool {
+    point.iter().all(|x| x.is_finite())
+}
+
+#[derive(Clone, Copy, Debug)]
 struct WallPoint {
     position: [f32; 3],
     normal: [f32; 3],
@@ -133,7 +158,7 @@ mod tests {
             [0.5, f32::INFINITY, 0.5],
         ];
         let expected = [false, false, false, true, true, true, true, true];
-        assert_eq!(outside(&particles, walls, 0.025), expected);
+        assert_eq!(OutsideTest::new(walls, 0.025).mark(&particles), expected);
     }
 
     #[test]
@@ -145,13 +170,13 @@ mod tests {
         position.extend(inner);
         let walls = Walls { position: &position, normal: &normal };
         let particles = [[0.4, 0.3, 0.3], [0.48, 0.525, 0.25], [0.525, 0.48, 0.25], [0.45, 0.25, 0.25]];
-        assert_eq!(outside(&particles, walls, 0.025), [true, false, false, true]);
+        assert_eq!(OutsideTest::new(walls, 0.025).mark(&particles), [true, false, false, true]);
     }
 
     #[test]
     fn without_walls_only_what_is_not_finite_is_outside() {
         let particles = [[1e6, 0.0, 0.0], [0.0, 0.0, f32::NAN]];
-        assert_eq!(outside(&particles, Walls::default(), 0.025), [false, true]);
+        assert_eq!(OutsideTest::new(Walls::default(), 0.025).mark(&particles), [false, true]);
     }
 
     #[test]

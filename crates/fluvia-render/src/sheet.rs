@@ -249,39 +249,44 @@ fn scale_legend(page: &mut Image, pen: &Pen, layout: &Layout, scale: &Scale, top
         let place = (left as f32 - layout.px(12) as f32, i64::from(y + layout.px(10)));
         pen.write(page, place, Anchor::Right, layout.small, QUIET, &scale.label);
     } else {
-        let caption = pen.fit(&scale.label, layout.small, (page.width - 2 * layout.pad) as f32);
+        let caption = pen.fit(&scale.label, layout.small, (left + bar - layout.pad) as f32);
         let place = ((left + bar) as f32, i64::from(top + layout.px(14)));
         pen.write(page, place, Anchor::Right, layout.small, QUIET, &caption);
     }
 }
 
 fn body_legend(page: &mut Image, pen: &Pen, layout: &Layout, names: &[String], top: u32) {
-    let (side, gap) = (layout.px(11), layout.px(7) as f32);
-    let mut right = (page.width - layout.pad) as f32 - gap;
+    let (side, gap) = (layout.px(11) as f32, layout.px(7) as f32);
+    let room = (page.width - 2 * layout.pad) as f32 - gap;
+    let widths: Vec<f32> =
+        names.iter().map(|name| side + 3.0 * gap + pen.width(name, layout.small)).collect();
+    // The first names that fit, against the right edge.
+    let (mut shown, mut used) = (0, 0.0);
+    while shown < names.len() && used + widths[shown] - 2.0 * gap <= room {
+        used += widths[shown];
+        shown += 1;
+    }
+    let mut x = layout.pad as f32 + room - (used - 2.0 * gap);
     let baseline = i64::from(top + layout.px(15));
-    for (body, name) in names.iter().enumerate().rev() {
-        let left = right - pen.width(name, layout.small);
-        let swatch = left - gap - side as f32;
-        if swatch < layout.pad as f32 {
-            break;
-        }
-        pen.write(page, (right, baseline), Anchor::Right, layout.small, QUIET, name);
+    for (body, name) in names[..shown].iter().enumerate() {
         let color: Rgb = body_color(body as u32);
-        page.fill(swatch as i64, i64::from(top + layout.px(5)), side.into(), side.into(), color);
-        right = swatch - 2.0 * gap;
+        page.fill(x as i64, i64::from(top + layout.px(5)), side as i64, side as i64, color);
+        let place = (x.floor() + side + gap, baseline);
+        pen.write(page, place, Anchor::Left, layout.small, QUIET, name);
+        x += widths[body];
     }
 }
 
-/// A number in three significant digits, without zeros at the end.
+/// A number in four significant digits, without zeros at the end.
 fn number(x: f32) -> String {
     let exponent = x.abs().log10().floor();
     if x == 0.0 || !x.is_finite() {
         return if x == 0.0 { "0".to_owned() } else { x.to_string() };
     }
     if !(-4.0..6.0).contains(&exponent) {
-        return format!("{x:.2e}");
+        return format!("{x:.3e}");
     }
-    let decimals = (2.0 - exponent).max(0.0) as usize;
+    let decimals = (3.0 - exponent).max(0.0) as usize;
     let digits = format!("{x:.decimals$}");
     if digits.contains('.') { digits.trim_end_matches('0').trim_end_matches('.').to_owned() } else { digits }
 }
@@ -291,17 +296,18 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_have_three_digits_and_no_idle_zeros() {
+    fn numbers_have_four_digits_and_no_idle_zeros() {
         let cases = [
             (0.0, "0"),
             (2.25, "2.25"),
+            (1.125, "1.125"),
             (4.0, "4"),
             (0.0625, "0.0625"),
-            (1.0 / 3.0, "0.333"),
+            (1.0 / 3.0, "0.3333"),
             (-12.5, "-12.5"),
             (1234.0, "1234"),
-            (1e-7, "1.00e-7"),
-            (2.5e9, "2.50e9"),
+            (1e-7, "1.000e-7"),
+            (2.5e9, "2.500e9"),
         ];
         for (value, expected) in cases {
             assert_eq!(number(value), expected);

@@ -1,8 +1,8 @@
 //! Tiny scenes whose pictures are known, the same bits at any thread count, and input that is not as it should be.
 
 use fluvia_render::{
-    BODY_COLORS, Camera, Error, Frame, Image, Row, Scale, Sheet, Style, Subject, Tile, Values, View, Walls,
-    draw_frame, sheet, speeds,
+    BODY_COLORS, Camera, Error, Frame, Image, OutsideTest, Row, Scale, Sheet, Style, Subject, Tile, Values,
+    View, Walls, draw_frame, sheet, speeds,
 };
 use proptest::prelude::*;
 
@@ -161,7 +161,7 @@ fn the_same_bits_at_any_number_of_threads() {
     let draw = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
-            let marks = fluvia_render::outside(&position, walls, RADIUS);
+            let marks = OutsideTest::new(walls, RADIUS).mark(&position);
             let frame = Frame { position: &position, values: Values::Scalar(&speed), outside: &marks };
             let tile = Tile { frame, label: "frame 0".to_owned(), note: String::new() };
             let rows = vec![Row { label: "row".to_owned(), walls, tiles: vec![tile.clone(), tile] }];
@@ -312,7 +312,7 @@ proptest! {
         let mut subject = Subject::new(walls, RADIUS).with_up(up);
         subject.add(&position);
         let camera = Camera::fit(&subject, &View { width, top, ..View::default() }).unwrap();
-        let marks = fluvia_render::outside(&position, walls, RADIUS);
+        let marks = OutsideTest::new(walls, RADIUS).mark(&position);
         let values: Vec<f32> = position.iter().map(|p| p[0]).collect();
         let frame = Frame { position: &position, values: Values::Scalar(&values), outside: &marks };
         let image = draw_frame(&frame, walls, &camera, &Style::default()).unwrap();
