@@ -35,7 +35,7 @@ fn corner() -> (Vec<[f32; 3]>, Vec<[f32; 3]>) {
     floor.chain(back).unzip()
 }
 
-/// Which of three colours a pixel is nearest to in direction, as light scales all channels.
+/// Which of some colours a pixel is nearest to in direction, as light scales all channels.
 fn hue(pixel: [u8; 3], candidates: &[[u8; 3]]) -> usize {
     let unit = |c: [u8; 3]| {
         let length = c.iter().map(|&x| f32::from(x).powi(2)).sum::<f32>().sqrt();
