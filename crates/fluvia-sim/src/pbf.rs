@@ -36,7 +36,7 @@ use crate::metrics::{highest_speed, particle_volume};
 use crate::particles::{Acceleration, Boundary, Particles};
 use crate::rollout::{Solver, StepInfo};
 use crate::{Error, Result};
-use vector::{Vector, add, add_scaled, dot, scale, shorten, sub};
+use vector::{Vector, add, add_scaled, dot, shorten, sub};
 use walls::Walls;
 
 /// Substeps in a frame interval at most when they are shortened for fast particles.
@@ -82,9 +82,9 @@ pub struct Params {
     pub iterations: u32,
     /// Factor of the multipliers' change in an iteration (0.5; undamped Jacobi, 1, overshoots).
     pub damping: f32,
-    /// Part of an iteration's change that is repeated in the next (0.7; below 1).
+    /// Part of an iteration's change that is repeated in the next (0.75; below 1).
     pub momentum: f32,
-    /// ε of Eq. 11 in 1 / h² (0.2): keeps the corrections of particles with few neighbours small.
+    /// ε of Eq. 11 in 1 / h² (1): keeps the corrections of particles with few neighbours small.
     pub relaxation: f32,
     /// k of Eq. 13 in h² (5e-4): how strongly near pairs repel, against clumps.
     pub artificial_pressure: f32,
@@ -107,8 +107,8 @@ impl Default for Params {
             travel: 1.0,
             iterations: 6,
             damping: 0.5,
-            momentum: 0.7,
-            relaxation: 0.2,
+            momentum: 0.75,
+            relaxation: 1.0,
             artificial_pressure: 5e-4,
             viscosity: 2.0,
             loose_density: 0.78,
@@ -142,6 +142,8 @@ struct Fluid {
     acceleration: Vec<Vector>,
     /// x* of the paper.
     predicted: Vec<Vector>,
+    /// x* before anything was corrected.
+    free: Vec<Vector>,
     /// Density over rest density that is allowed in this substep.
     target: Vec<f32>,
     /// λ accumulated over the iterations of a substep, square metres, and its last change.
@@ -200,20 +202,21 @@ impl Pbf {
 
     /// Lines 1-4: v = v + h a_ext, x* = x + h v, as far as the walls let it.
     fn predict(&mut self, h: f32) {
-        let Fluid { position, velocity, acceleration, predicted, reach, .. } = &mut self.fluid;
+        let Fluid { position, velocity, acceleration, predicted, free, reach, .. } = &mut self.fluid;
         let support = self.kernel.support();
         for (i, velocity) in velocity.iter_mut().enumerate() {
             *velocity = add_scaled(*velocity, h, acceleration[i]);
-            predicted[i] = add_scaled(position[i], h, *velocity);
-            reach[i] = (support + distance(position[i], predicted[i])).min(MAX_REACH * support);
+            let way = h * dot(*velocity, *velocity).sqrt();
+            reach[i] = (support + way).min(MAX_REACH * support);
         }
         self.walls.search(position, reach, &mut self.near.walls);
-        let (walls, near) = (&self.walls, &self.near.walls);
-        position.par_iter_mut().zip(predicted.par_iter_mut()).enumerate().for_each(|(i, (start, end))| {
+        let (walls, near, velocity) = (&self.walls, &self.near.walls, &*velocity);
+        let ends = predicted.par_iter_mut().zip(free.par_iter_mut());
+        position.par_iter_mut().zip(ends).enumerate().for_each(|(i, (start, (end, free)))| {
             // A particle that begins in a wall is taken out before it moves, so that it gains no speed by it.
-            let clear = walls.keep_clear(*start, near.row(i));
-            *end = walls.travel(clear, sub(*end, *start), near.row(i));
-            *start = clear;
+            *start = walls.keep_clear(*start, near.row(i));
+            *free = add_scaled(*start, h, velocity[i]);
+            *end = walls.travel(*start, *free, near.row(i));
         });
     }
 
@@ -316,11 +319,12 @@ impl Pbf {
         std::mem::swap(predicted, next);
     }
 
-    /// Lines 20 and 23: v = (x* - x) / h, x = x*.
+    /// Lines 20 and 23: v = (x* - x) / h, x = x*. Written as a change by what the corrections did, so that a
+    /// particle in free fall keeps its velocity to the last bit.
     fn update_velocities(&mut self, h: f32) {
-        let Fluid { position, velocity, predicted, .. } = &mut self.fluid;
+        let Fluid { position, velocity, predicted, free, .. } = &mut self.fluid;
         for (i, velocity) in velocity.iter_mut().enumerate() {
-            *velocity = scale(sub(predicted[i], position[i]), 1.0 / h);
+            *velocity = add_scaled(*velocity, 1.0 / h, sub(predicted[i], free[i]));
             position[i] = predicted[i];
         }
     }
@@ -407,6 +411,7 @@ impl Fluid {
         self.acceleration.extend(rows.map(|row| acceleration.of(row)));
         let count = from.len();
         self.predicted.resize(count, [0.0; 3]);
+        self.free.resize(count, [0.0; 3]);
         self.target.resize(count, 0.0);
         self.lambda.resize(count, [0.0; 2]);
         self.own.resize(count, [[0.0; 3]; 2]);

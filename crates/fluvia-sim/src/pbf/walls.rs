@@ -7,7 +7,7 @@
 
 use fluvia_neighbors::{Grid, Neighbors, Options, Radius};
 
-use super::vector::{Vector, add, add_scaled, dot, sub};
+use super::vector::{Vector, add_scaled, dot, sub};
 use crate::kernel::{CubicSpline, wall_volumes};
 use crate::particles::Boundary;
 
@@ -53,19 +53,22 @@ impl Walls {
         self.grid.search(positions, Radius::PerQuery(radii), &Options::default(), neighbors);
     }
 
-    /// Moves a particle from `start` along `way`, but not through the wall particles `near` it: the path is
+    /// Moves a particle from `start` to `end`, but not through the wall particles `near` the way: the path is
     /// walked in pieces no longer than the clearance, so that a particle cannot be on the far side of a wall
     /// before the wall has seen it.
-    pub fn travel(&self, start: Vector, way: Vector, near: &[u32]) -> Vector {
+    pub fn travel(&self, start: Vector, end: Vector, near: &[u32]) -> Vector {
+        let way = sub(end, start);
         let pieces = (dot(way, way).sqrt() / self.clearance).ceil().clamp(1.0, PATH_PIECES);
         if near.is_empty() || pieces.is_nan() {
-            return add(start, way);
+            return end;
         }
-        let mut position = start;
+        let (mut position, mut touched) = (start, false);
         for _ in 0..pieces as usize {
-            position = self.keep_clear(add_scaled(position, 1.0 / pieces, way), near);
+            let free = add_scaled(position, 1.0 / pieces, way);
+            position = self.keep_clear(free, near);
+            touched |= position != free;
         }
-        position
+        if touched { position } else { end }
     }
 
     /// The position moved to the front of the walls, if it is not there.
