@@ -377,6 +377,12 @@ impl Solver for Pbf {
         if !(dt > 0.0 && dt.is_finite()) {
             return Err(Error::Parameter(format!("dt {dt}, expected a positive number of seconds")));
         }
+        if let Acceleration::PerParticle(values) = acceleration
+            && values.len() != particles.len()
+        {
+            let (found, expected) = (values.len(), particles.len());
+            return Err(Error::Parameter(format!("{found} accelerations for {expected} particles")));
+        }
         self.fluid.load(particles, acceleration, &mut self.grid, self.kernel.support());
         let mut info = StepInfo { neighbor_radius: self.kernel.support(), ..StepInfo::default() };
         let mut remaining = f64::from(dt);
