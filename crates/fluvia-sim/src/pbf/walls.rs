@@ -1,0 +1,125 @@
+//! The walls as a position constraint: what density alone cannot promise, that nothing passes them.
+//!
+//! Each wall particle b is a small piece of the plane through x_b with the normal n_b; a fluid particle near
+//! it must keep (x - x_b) · n_b >= clearance. Which pieces count near edges is decided by the nearest one:
+//! pieces that lie in front of each other's planes form a hollow edge, where both must be kept (the inside
+//! of a box); pieces behind each other's planes form a ridge, where one is enough (the outside of a block).
+
+use fluvia_neighbors::{Grid, Neighbors, Options, Radius};
+
+use super::vector::{Vector, add_scaled, dot, sub};
+use crate::kernel::{CubicSpline, wall_volumes};
+use crate::particles::Boundary;
+
+/// Planes that one position is held in front of: a corner of a box has three.
+const PLANES: usize = 3;
+
+/// Wall particles farther than this from a position do not act on it, in support radii. Samples are about
+/// half of that apart, so a position near a wall has some in reach.
+const REACH: f32 = 0.5;
+
+/// Pieces of path that one move is checked in at most, so that absurd speeds cost bounded time.
+const PATH_PIECES: f32 = 256.0;
+
+/// Wall particles, prepared once.
+pub struct Walls {
+    pub position: Vec<Vector>,
+    normal: Vec<Vector>,
+    /// Akinci et al. (2012): what each counts in the density of the fluid, cubic metres.
+    pub volume: Vec<f32>,
+    grid: Grid,
+    /// How far in front of the walls the centres of particles are kept, metres.
+    clearance: f32,
+    /// Wall particles farther than this from a position do not act on it, metres.
+    reach: f32,
+}
+
+impl Walls {
+    pub fn new(boundary: &Boundary, kernel: &CubicSpline, clearance: f32) -> Walls {
+        let mut grid = Grid::new();
+        grid.build(&boundary.position, kernel.support());
+        Walls {
+            position: boundary.position.clone(),
+            normal: boundary.normal.clone(),
+            volume: wall_volumes(&boundary.position, kernel),
+            grid,
+            clearance,
+            reach: REACH * kernel.support(),
+        }
+    }
+
+    /// The wall particles within its radius of each position.
+    pub fn search(&mut self, positions: &[Vector], radii: &[f32], neighbors: &mut Neighbors) {
+        self.grid.search(positions, Radius::PerQuery(radii), &Options::default(), neighbors);
+    }
+
+    /// Moves a particle from `start` to `end`, but not through the wall particles `near` the way: the path is
+    /// walked in pieces no longer than the clearance, so that a particle cannot be on the far side of a wall
+    /// before the wall has seen it.
+    pub fn travel(&self, start: Vector, end: Vector, near: &[u32]) -> Vector {
+        let way = sub(end, start);
+        let pieces = (dot(way, way).sqrt() / self.clearance).ceil().clamp(1.0, PATH_PIECES);
+        if near.is_empty() || pieces.is_nan() {
+            return end;
+        }
+        let (mut position, mut touched) = (start, false);
+        for _ in 0..pieces as usize {
+            let free = add_scaled(position, 1.0 / pieces, way);
+            position = self.keep_clear(free, near);
+            touched |= position != free;
+        }
+        if touched { position } else { end }
+    }
+
+    /// The position moved to the front of the walls, if it is not there.
+    pub fn keep_clear(&self, mut position: Vector, near: &[u32]) -> Vector {
+        for _ in 0..PLANES {
+            let Some(nearest) = self.nearest(position, near) else {
+                return position;
+            };
+            let Some((normal, depth)) = self.violated_plane(position, nearest, near) else {
+                return position;
+            };
+            position = add_scaled(position, depth, normal);
+        }
+        position
+    }
+
+    /// The nearest wall particle within reach; the first of `near` among equals.
+    fn nearest(&self, position: Vector, near: &[u32]) -> Option<usize> {
+        let mut best = (self.reach * self.reach, None);
+        for &b in near {
+            let offset = sub(position, self.position[b as usize]);
+            let squared = dot(offset, offset);
+            if squared < best.0 {
+                best = (squared, Some(b as usize));
+            }
+        }
+        best.1
+    }
+
+    /// The plane to move along and how far.
+    fn violated_plane(&self, position: Vector, nearest: usize, near: &[u32]) -> Option<(Vector, f32)> {
+        let depth = |b: usize| self.clearance - dot(sub(position, self.position[b]), self.normal[b]);
+        let mut deepest = (depth(nearest), nearest);
+        for &b in near {
+            let b = b as usize;
+            let offset = sub(position, self.position[b]);
+            if dot(offset, offset) >= self.reach * self.reach {
+                continue;
+            }
+            let edge = sub(self.position[b], self.position[nearest]);
+            let (ahead, behind) = (dot(edge, self.normal[nearest]), -dot(edge, self.normal[b]));
+            // Flat within rounding: the nearest stands for the whole plane.
+            let flat = 1e-3 * self.reach;
+            if ahead > flat && behind > flat {
+                if depth(b) > deepest.0 {
+                    deepest = (depth(b), b);
+                }
+            } else if ahead < -flat && behind < -flat && depth(b) <= 0.0 {
+                return None;
+            }
+        }
+        (deepest.0 > 0.0).then(|| (self.normal[deepest.1], deepest.0))
+    }
+}
