@@ -20,11 +20,11 @@ pub struct Params {
     pub substep: Substep,
     /// With [`Substep::AtMost`]: how far the fastest particle may move in a substep, particle radii (1).
     pub travel: f32,
-    /// Iterations a substep (6).
+    /// Iterations a substep (7).
     pub iterations: u32,
-    /// Factor of the multipliers' change in an iteration (0.5; undamped Jacobi, 1, overshoots).
+    /// Factor of the multipliers' change in an iteration (0.6; undamped Jacobi, 1, overshoots).
     pub damping: f32,
-    /// Part of an iteration's change that is repeated in the next (0.75; below 1).
+    /// Part of an iteration's change that is repeated in the next (0.6; below 1; from 0.75 on a pool at rest trembles).
     pub momentum: f32,
     /// ε of Eq. 11 in 1 / h² (1): keeps the corrections of particles with few neighbours small.
     pub relaxation: f32,
@@ -47,9 +47,9 @@ impl Default for Params {
         Params {
             substep: Substep::AtMost(0.004),
             travel: 1.0,
-            iterations: 6,
-            damping: 0.5,
-            momentum: 0.75,
+            iterations: 7,
+            damping: 0.6,
+            momentum: 0.6,
             relaxation: 1.0,
             artificial_pressure: 5e-4,
             viscosity: 2.0,
