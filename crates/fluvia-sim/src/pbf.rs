@@ -25,6 +25,8 @@
 //! A step is a function of the particles given to it alone: nothing is remembered from step to step, so a
 //! resumed run gives the same bits. All sums are gathered in a fixed order: so does any number of threads.
 
+mod params;
+mod repulsion;
 mod vector;
 mod walls;
 
@@ -34,13 +36,18 @@ use rayon::prelude::*;
 use crate::kernel::{CubicSpline, SUPPORT_IN_RADII, distance};
 use crate::metrics::{highest_speed, particle_volume};
 use crate::particles::{Acceleration, Boundary, Particles};
-use crate::rollout::{Solver, StepInfo};
+use crate::rollout::{Solver, StepInfo, positive};
 use crate::{Error, Result};
+pub use params::{Params, Substep};
+use repulsion::{Repulsion, made_up_offset};
 use vector::{Vector, add, add_scaled, dot, shorten, sub};
 use walls::Walls;
 
 /// Substeps in a frame interval at most when they are shortened for fast particles.
 const MAX_SUBSTEPS: f64 = 100.0;
+
+/// More substeps than this in a frame interval are a slip in dt or in the substep.
+const TOO_MANY_SUBSTEPS: f32 = 1e5;
 
 /// The search for walls along a particle's way ends here, in support radii: bounds memory at absurd speeds.
 const MAX_REACH: f32 = 10.0;
@@ -49,75 +56,8 @@ const MAX_REACH: f32 = 10.0;
 /// way of right ones.
 const MAX_CORRECTION: f32 = 0.5;
 
-/// |Δq| of Eq. 13 in support radii, within the paper's 0.1 to 0.3.
-const ARTIFICIAL_PRESSURE_DISTANCE: f32 = 0.2;
-
-/// The artificial pressure is left out beyond this distance, in support radii: 1 % of that at |Δq|.
-const ARTIFICIAL_PRESSURE_REACH: f32 = 0.5;
-
-/// How far apart coincident particles are taken to be, in support radii: their direction is made up.
-const COINCIDENT_OFFSET: f32 = 0.002;
-
 /// Particles that one task works on.
 const CHUNK: usize = 128;
-
-/// How a frame interval is divided. Frame times are hit exactly: the interval is cut into equal parts no
-/// longer than asked for.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Substep {
-    /// Always this long, seconds.
-    Fixed(f32),
-    /// At most this long, seconds, and shorter while particles are fast ([`Params::travel`]).
-    AtMost(f32),
-}
-
-/// Parameters of the solver. h is the support radius of the kernel, 4 particle radii.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Params {
-    /// How a frame interval is divided (at most 4 ms).
-    pub substep: Substep,
-    /// With [`Substep::AtMost`]: how far the fastest particle may move in a substep, particle radii (1).
-    pub travel: f32,
-    /// Iterations a substep (6).
-    pub iterations: u32,
-    /// Factor of the multipliers' change in an iteration (0.5; undamped Jacobi, 1, overshoots).
-    pub damping: f32,
-    /// Part of an iteration's change that is repeated in the next (0.75; below 1).
-    pub momentum: f32,
-    /// ε of Eq. 11 in 1 / h² (1): keeps the corrections of particles with few neighbours small.
-    pub relaxation: f32,
-    /// k of Eq. 13 in h² (5e-4): how strongly near pairs repel, against clumps.
-    pub artificial_pressure: f32,
-    /// c of Eq. 17 per second (2): a substep smooths velocities with c times its length, at most 1.
-    pub viscosity: f32,
-    /// Below this part of rest density (0.78) the fluid may be pressed together freely.
-    pub loose_density: f32,
-    /// Above it, by how much of rest density the target may grow, per second (0.25, as in the reference).
-    pub compaction_rate: f32,
-    /// By how much of rest density the target of fluid denser than at rest falls, per second (10).
-    pub expansion_rate: f32,
-    /// How far from the walls the centres of particles are kept, particle radii (0.5).
-    pub wall_clearance: f32,
-}
-
-impl Default for Params {
-    fn default() -> Self {
-        Params {
-            substep: Substep::AtMost(0.004),
-            travel: 1.0,
-            iterations: 6,
-            damping: 0.5,
-            momentum: 0.75,
-            relaxation: 1.0,
-            artificial_pressure: 5e-4,
-            viscosity: 2.0,
-            loose_density: 0.78,
-            compaction_rate: 0.25,
-            expansion_rate: 10.0,
-            wall_clearance: 0.5,
-        }
-    }
-}
 
 /// The solver for one set of walls.
 pub struct Pbf {
@@ -173,7 +113,12 @@ impl Pbf {
     /// # Errors
     /// `Parameter` if the radius or a parameter is out of range.
     pub fn new(params: Params, boundary: &Boundary, particle_radius: f32) -> Result<Pbf> {
-        check(&params, boundary, particle_radius)?;
+        params.check()?;
+        positive("particle radius", particle_radius)?;
+        let (positions, normals) = (boundary.position.len(), boundary.normal.len());
+        if positions != normals {
+            return Err(Error::Parameter(format!("{positions} wall positions and {normals} normals")));
+        }
         let kernel = CubicSpline::new(SUPPORT_IN_RADII * particle_radius);
         Ok(Pbf {
             params,
@@ -374,8 +319,12 @@ impl Solver for Pbf {
         acceleration: Acceleration<'_>,
         dt: f32,
     ) -> Result<StepInfo> {
-        if !(dt > 0.0 && dt.is_finite()) {
-            return Err(Error::Parameter(format!("dt {dt}, expected a positive number of seconds")));
+        positive("dt", dt)?;
+        let (Substep::Fixed(length) | Substep::AtMost(length)) = self.params.substep;
+        if dt / length > TOO_MANY_SUBSTEPS {
+            let message =
+                format!("dt {dt} s in substeps of {length} s, expected at most {TOO_MANY_SUBSTEPS} of them");
+            return Err(Error::Parameter(message));
         }
         if let Acceleration::PerParticle(values) = acceleration
             && values.len() != particles.len()
@@ -434,38 +383,6 @@ impl Fluid {
     }
 }
 
-/// The artificial pressure of Eq. 13, s_corr = -k (W(r) / W(|Δq|))⁴.
-struct Repulsion {
-    strength: f32,
-    inverse_reference: f32,
-    reach: f32,
-}
-
-impl Repulsion {
-    fn new(strength: f32, kernel: &CubicSpline) -> Repulsion {
-        let support = kernel.support();
-        Repulsion {
-            strength: strength * support * support,
-            inverse_reference: 1.0 / kernel.value(ARTIFICIAL_PRESSURE_DISTANCE * support),
-            reach: ARTIFICIAL_PRESSURE_REACH * support,
-        }
-    }
-
-    fn at(&self, kernel_value: f32) -> f32 {
-        let ratio = kernel_value * self.inverse_reference;
-        -self.strength * (ratio * ratio) * (ratio * ratio)
-    }
-}
-
-/// The offset x_i - x_j to assume for particles in the same place: opposite for the two of a pair.
-fn made_up_offset(i: usize, j: usize, support: f32) -> Vector {
-    let mut offset = [0.0; 3];
-    if i != j {
-        offset[(i + j) % 3] = if i < j { 1.0 } else { -1.0 } * COINCIDENT_OFFSET * support;
-    }
-    offset
-}
-
 /// Cuts `values`, one per entry of neighbour rows, into one slice for every `chunk` rows.
 fn split_by_rows<'a>(values: &'a mut [f32], row_splits: &[usize], chunk: usize) -> Vec<&'a mut [f32]> {
     let rows = row_splits.len().saturating_sub(1);
@@ -484,41 +401,4 @@ fn split_by_rows<'a>(values: &'a mut [f32], row_splits: &[usize], chunk: usize) 
 fn most_neighbors(neighbors: &Neighbors) -> u32 {
     let counts = (0..neighbors.queries()).map(|i| neighbors.count(i));
     counts.max().unwrap_or(0).saturating_sub(1) as u32
-}
-
-fn check(params: &Params, boundary: &Boundary, particle_radius: f32) -> Result<()> {
-    let (Substep::Fixed(substep) | Substep::AtMost(substep)) = params.substep;
-    let positive = [
-        ("particle radius", particle_radius),
-        ("substep", substep),
-        ("travel", params.travel),
-        ("damping", params.damping),
-        ("wall_clearance", params.wall_clearance),
-    ];
-    for (name, value) in positive {
-        if !(value > 0.0 && value.is_finite()) {
-            return Err(Error::Parameter(format!("{name} {value}, expected a positive number")));
-        }
-    }
-    let not_negative = [
-        ("relaxation", params.relaxation),
-        ("artificial_pressure", params.artificial_pressure),
-        ("viscosity", params.viscosity),
-        ("loose_density", params.loose_density),
-        ("compaction_rate", params.compaction_rate),
-        ("expansion_rate", params.expansion_rate),
-    ];
-    for (name, value) in not_negative {
-        if !(value >= 0.0 && value.is_finite()) {
-            return Err(Error::Parameter(format!("{name} {value}, expected a number not below 0")));
-        }
-    }
-    if !(0.0..1.0).contains(&params.momentum) {
-        return Err(Error::Parameter(format!("momentum {}, expected 0 <= momentum < 1", params.momentum)));
-    }
-    if boundary.position.len() != boundary.normal.len() {
-        let (positions, normals) = (boundary.position.len(), boundary.normal.len());
-        return Err(Error::Parameter(format!("{positions} wall positions and {normals} normals")));
-    }
-    Ok(())
 }

@@ -296,7 +296,8 @@ fn emits(emitter: &Emitter, step: u64) -> bool {
         && (step - emitter.start).is_multiple_of(emitter.step.max(1))
 }
 
-fn positive(name: &str, value: f32) -> Result<()> {
+/// An error unless the value is positive and finite.
+pub(crate) fn positive(name: &str, value: f32) -> Result<()> {
     if value > 0.0 && value.is_finite() {
         return Ok(());
     }

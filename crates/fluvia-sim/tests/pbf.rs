@@ -2,6 +2,8 @@
 
 mod common;
 
+use std::path::Path;
+
 use common::{DT, GRAVITY, RADIUS, block, box_walls, particles};
 use fluvia_sim::metrics::{self, Bounds};
 use fluvia_sim::particles::{Acceleration, Boundary, Particles};
@@ -222,8 +224,39 @@ fn parameters_out_of_range_are_errors() {
     assert!(Pbf::new(defaults, &Boundary::default(), -0.025).is_err());
     let mut solver = Pbf::new(defaults, &Boundary::default(), RADIUS).unwrap();
     let mut fluid = particles(vec![[0.0; 3]], [0.0; 3]);
-    for dt in [0.0, -0.02, f32::NAN, f32::INFINITY] {
+    for dt in [0.0, -0.02, f32::NAN, f32::INFINITY, 1e6] {
         assert!(solver.step(&mut fluid, Acceleration::Uniform(GRAVITY), dt).is_err(), "{dt}");
     }
     assert!(solver.step(&mut fluid, Acceleration::PerParticle(&[GRAVITY; 2]), DT).is_err());
+}
+
+/// The reference data, if they are there: `FLUVIA_REFERENCE`, or `../shared/reference` beside the repository.
+fn reference(file: &str) -> Option<std::path::PathBuf> {
+    let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/reference");
+    let path = std::env::var_os("FLUVIA_REFERENCE").map_or_else(beside, Into::into).join(file);
+    path.exists().then_some(path)
+}
+
+#[test]
+#[ignore = "some seconds, and it reads the reference data"]
+fn the_front_of_the_dam_break_follows_dfsph() {
+    let Some(path) = reference("splishsplash/dfsph_reference.json") else {
+        println!("skipped: no reference data");
+        return;
+    };
+    let data: serde_json::Value = serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
+    // The run at 1 ms is the paper's ground truth; the one at 5 ms is 22 % apart from it at frame 3, 4 % at 20.
+    let boxes = &data["runs"]["dam_v216_fix1ms"]["per_frame"]["bbox_max"];
+    let walls = box_walls([-1.0, 0.0, -1.0], [1.0, 4.0, 1.0], 1.2 * RADIUS);
+    let mut fluid = particles(block([-0.95, 0.05, -0.95], [18; 3]), [0.0; 3]);
+    let mut solver = Pbf::new(Params::default(), &walls, RADIUS).unwrap();
+    let start = f64::from(Bounds::of(&fluid.position).unwrap().high[0]);
+    for frame in 1..=20 {
+        run(&mut solver, &mut fluid, 1);
+        let travelled = f64::from(Bounds::of(&fluid.position).unwrap().high[0]) - start;
+        let expected = boxes[frame][0].as_f64().unwrap() - start;
+        let error = travelled / expected - 1.0;
+        println!("frame {frame}: {travelled:.4} m, expected {expected:.4} m ({:+.1} %)", 100.0 * error);
+        assert!(frame < 3 || error.abs() < 0.1, "frame {frame}: {travelled} m, expected {expected} m");
+    }
 }

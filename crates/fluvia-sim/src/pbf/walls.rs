@@ -18,6 +18,9 @@ const PLANES: usize = 3;
 /// half of that apart, so a position near a wall has some in reach.
 const REACH: f32 = 0.5;
 
+/// Two pieces are one plane if they lie this near to each other's, in reaches; the nearer then stands for both.
+const FLAT: f32 = 1e-3;
+
 /// Pieces of path that one move is checked in at most, so that absurd speeds cost bounded time.
 const PATH_PIECES: f32 = 256.0;
 
@@ -101,6 +104,7 @@ impl Walls {
     /// The plane to move along and how far.
     fn violated_plane(&self, position: Vector, nearest: usize, near: &[u32]) -> Option<(Vector, f32)> {
         let depth = |b: usize| self.clearance - dot(sub(position, self.position[b]), self.normal[b]);
+        let flat = FLAT * self.reach;
         let mut deepest = (depth(nearest), nearest);
         for &b in near {
             let b = b as usize;
@@ -110,8 +114,6 @@ impl Walls {
             }
             let edge = sub(self.position[b], self.position[nearest]);
             let (ahead, behind) = (dot(edge, self.normal[nearest]), -dot(edge, self.normal[b]));
-            // Flat within rounding: the nearest stands for the whole plane.
-            let flat = 1e-3 * self.reach;
             if ahead > flat && behind > flat {
                 if depth(b) > deepest.0 {
                     deepest = (depth(b), b);
