@@ -15,6 +15,7 @@ use std::str::FromStr;
 
 use crate::particles::{Boundary, Particles};
 use crate::{Error, Result};
+use columns::Columns;
 
 mod atomic;
 mod bgeo;
@@ -149,7 +150,12 @@ pub fn parse(path: &Path, format: Format, bytes: &[u8]) -> Result<ParticleData> 
         Format::Vtu => vtu::parse(bytes),
         Format::Vtk => vtk::parse(bytes),
     };
-    columns.and_then(columns::Columns::check).map_err(|message| Error::file(path, message))
+    let mut data = columns.and_then(Columns::check).map_err(|message| Error::file(path, message))?;
+    // Houdini and SPlisHSPlasH keep their points in an order of their own.
+    if format == Format::Bgeo {
+        columns::sort_by_id(&mut data);
+    }
+    Ok(data)
 }
 
 /// Writes a frame of the fluid.

@@ -7,7 +7,7 @@
 //! ```
 //!
 //! Type 0 is float, 1 integer, 4 an index into strings (listed in place of defaults), 5 a vector of floats. The file
-//! may be gzip-compressed. Particles are sorted by `id`, as the published reader does.
+//! may be gzip-compressed. What is read is sorted by `id`, as the published reader does.
 
 use std::io::{self, Read, Write};
 
@@ -186,7 +186,6 @@ fn parse_stream(stream: &mut Stream<impl Read>) -> Parsed<Columns> {
     for column in wanted {
         columns.add(column.quantity, &column.name, column.width, column.values);
     }
-    columns.sort_by_id();
     Ok(columns)
 }
 

@@ -74,28 +74,10 @@ impl Columns {
         }
     }
 
-    /// Sorts all arrays by identity, if there is one a particle.
-    pub(super) fn sort_by_id(&mut self) {
-        let Some(id) = &self.0[Quantity::Id as usize] else { return };
-        let keys = &id.values;
-        let whole = |column: &Column| column.values.len() == keys.len().saturating_mul(column.width);
-        if !self.0.iter().flatten().all(whole) || keys.is_sorted() {
-            return;
-        }
-        let mut order: Vec<usize> = (0..keys.len()).collect();
-        order.sort_by(|&a, &b| keys[a].total_cmp(&keys[b]));
-        for column in self.0.iter_mut().flatten() {
-            let width = column.width;
-            column.values =
-                order.iter().flat_map(|&i| &column.values[i * width..(i + 1) * width]).copied().collect();
-        }
-    }
-
     /// The particles, if all arrays fit together and every number is finite.
     pub(super) fn check(self) -> Parsed<ParticleData> {
         let [position, velocity, normal, id, body] = self.0;
         let Some(position) = position else { return Err("no positions in this file".into()) };
-        let name = position.name.clone();
         let position = vectors(position)?;
         let count = position.len();
         let same_length = |name: &str, found: usize| match found == count {
@@ -116,9 +98,26 @@ impl Columns {
         };
         let (velocity, normal) = (vectors(velocity)?, vectors(normal)?);
         let (id, body) = (integers(id)?, integers(body)?);
-        debug_assert!(!name.is_empty(), "readers name the positions");
         Ok(ParticleData { position, velocity, normal, id, body })
     }
+}
+
+/// Sorts the particles by identity, if they have one; equal ones stay in their order.
+pub(super) fn sort_by_id(data: &mut ParticleData) {
+    let Some(id) = data.id.as_ref().filter(|id| !id.is_sorted()) else { return };
+    let mut order: Vec<usize> = (0..id.len()).collect();
+    order.sort_by_key(|&i| id[i]);
+    reorder(&mut data.position, &order);
+    for vectors in [&mut data.velocity, &mut data.normal].into_iter().flatten() {
+        reorder(vectors, &order);
+    }
+    for integers in [&mut data.id, &mut data.body].into_iter().flatten() {
+        reorder(integers, &order);
+    }
+}
+
+fn reorder<T: Copy>(values: &mut Vec<T>, order: &[usize]) {
+    *values = order.iter().map(|&i| values[i]).collect();
 }
 
 fn check_width(column: &Column, quantity: Quantity) -> Parsed<()> {

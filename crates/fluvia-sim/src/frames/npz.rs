@@ -8,6 +8,7 @@ use std::io::{self, Cursor, Read, Write};
 use std::path::Path;
 
 use zip::read::ZipFile;
+use zip::result::ZipError;
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, DateTime, ZipArchive, ZipWriter};
 
@@ -153,13 +154,16 @@ const MOST_AXES: usize = 64;
 type Member<'a, 'b> = ZipFile<'a, Cursor<&'b [u8]>>;
 
 fn open(bytes: &[u8]) -> Parsed<ZipArchive<Cursor<&[u8]>>> {
-    ZipArchive::new(Cursor::new(bytes)).map_err(|error| {
-        format!(
-            "no npz (zip archive) or a truncated one of {} bytes: {}",
-            bytes.len(),
-            shown(&error.to_string())
-        )
-    })
+    let bad = |error: ZipError| {
+        let reason = shown(&error.to_string());
+        format!("no npz (zip archive) or a truncated one of {} bytes: {reason}", bytes.len())
+    };
+    let mut archive = ZipArchive::new(Cursor::new(bytes)).map_err(bad)?;
+    // Otherwise the arrays could be many times the size of the file.
+    match archive.has_overlapping_files().map_err(bad)? {
+        true => Err("damaged: members of this archive share their bytes".into()),
+        false => Ok(archive),
+    }
 }
 
 fn member<'a, 'b>(

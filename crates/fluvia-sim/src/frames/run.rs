@@ -158,7 +158,7 @@ impl RunDirectory {
     /// Writes the walls, `box.*`.
     ///
     /// # Errors
-    /// As [`write_walls`](super::write_walls).
+    /// As [`write_walls`].
     pub fn write_walls(&mut self, walls: &Boundary) -> Result<()> {
         for format in self.formats.clone() {
             let path = self.begin(&walls_name(format))?;
@@ -176,20 +176,20 @@ impl RunDirectory {
         write_json(&path, record)
     }
 
-    /// Writes frame `index` in every format, and the index for ParaView if `vtu` is one of them.
+    /// Writes frame `index` in every format, and the index for ParaView if `vtu` is one of them. If one of them
+    /// fails the frame is there in none.
     ///
     /// # Errors
     /// As [`write_fluid`].
     pub fn write_frame(&mut self, index: u64, particles: &Particles) -> Result<()> {
-        for format in self.formats.clone() {
-            let path = self.begin(&frame_name(index, format))?;
-            write_fluid(&path, format, particles)?;
-        }
-        if self.formats.contains(&Format::Vtu) {
-            self.indexed.insert(index);
-            let path = self.begin(INDEX)?;
-            let frames = self.indexed.iter().map(|&k| (k as f64 * self.dt, frame_name(k, Format::Vtu)));
-            write_atomically(&path, |out| vtu::write_index(frames, out))?;
+        let written = self.write_frame_files(index, particles);
+        if written.is_err() {
+            self.indexed.remove(&index);
+            for format in &self.formats {
+                // The first error is the one to report.
+                let _ = fs::remove_file(self.path.join(frame_name(index, *format)));
+            }
+            return written;
         }
         self.has_frame = true;
         self.unfinished.clear();
@@ -227,6 +227,20 @@ impl RunDirectory {
     /// As [`read_frame`].
     pub fn read_frame(&self, index: u64) -> Result<ParticleData> {
         read_frame(&self.path, index)
+    }
+
+    fn write_frame_files(&mut self, index: u64, particles: &Particles) -> Result<()> {
+        for format in self.formats.clone() {
+            let path = self.begin(&frame_name(index, format))?;
+            write_fluid(&path, format, particles)?;
+        }
+        if self.formats.contains(&Format::Vtu) {
+            self.indexed.insert(index);
+            let path = self.begin(INDEX)?;
+            let frames = self.indexed.iter().map(|&k| (k as f64 * self.dt, frame_name(k, Format::Vtu)));
+            write_atomically(&path, |out| vtu::write_index(frames, out))?;
+        }
+        Ok(())
     }
 
     /// Removes the old run before the first file of this one; gives the path of `name`.

@@ -48,13 +48,12 @@ pub(super) fn write(rows: Rows<'_>, out: &mut dyn Write) -> io::Result<()> {
         out.write_all(&VERTEX_CELL.to_be_bytes())?;
     }
     writeln!(out, "\nPOINT_DATA {count}")?;
-    if let Some(velocity) = rows.velocity {
-        out.write_all(b"VECTORS velocity float\n")?;
-        write_vectors(velocity, out)?;
-    }
-    if let Some(normal) = rows.normal {
-        out.write_all(b"NORMALS normals float\n")?;
-        write_vectors(normal, out)?;
+    // Normals are declared as vectors, because not every reader knows the keyword NORMALS.
+    for (name, values) in [("velocity", rows.velocity), ("normals", rows.normal)] {
+        if let Some(values) = values {
+            writeln!(out, "VECTORS {name} float")?;
+            write_vectors(values, out)?;
+        }
     }
     let integers: Vec<_> = rows.integers().collect();
     if !integers.is_empty() {

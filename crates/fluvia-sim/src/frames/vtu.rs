@@ -1,11 +1,13 @@
 //! VTK XML files: the points and point data of an UnstructuredGrid (`.vtu`) or PolyData (`.vtp`), and the `.pvd`
 //! index that gives ParaView the times of a run's frames.
 //!
-//! Arrays are read in every form of [`data`](super::vtu_data). Written: appended raw, little endian, UInt64 counts,
+//! Arrays are read in every form of [`data`](super::vtu_data). Written: inline base64, little endian, UInt64 counts,
 //! one vertex cell a particle.
 
 use std::io::{self, Write};
 
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
 use quick_xml::events::{BytesStart, Event};
 use quick_xml::{Reader, XmlVersion};
 
@@ -28,7 +30,7 @@ pub(super) fn parse(bytes: &[u8]) -> Parsed<Columns> {
         let event = reader.read_event().map_err(|error| {
             let before = text.bytes().take(reader.error_position() as usize);
             let line = 1 + before.filter(|&byte| byte == b'\n').count();
-            format!("line {line}: no XML: {}", shown(&error.to_string()))
+            format!("line {line}: truncated or no XML: {}", shown(&error.to_string()))
         })?;
         match event {
             Event::Start(tag) => parser.start(&tag)?,
@@ -38,7 +40,7 @@ pub(super) fn parse(bytes: &[u8]) -> Parsed<Columns> {
             }
             Event::End(tag) => parser.end(tag.name().as_ref())?,
             Event::Text(content) => {
-                if let Some(array) = &mut parser.array {
+                if let Some(array) = parser.array.as_mut().filter(|_| parser.inner == 0) {
                     array.text.push_str(&content);
                 }
             }
@@ -54,39 +56,36 @@ pub(super) fn parse(bytes: &[u8]) -> Parsed<Columns> {
 
 pub(super) fn write(rows: Rows<'_>, out: &mut dyn Write) -> io::Result<()> {
     let count = rows.len();
-    let mut arrays = Arrays::default();
-    let mut point_data = String::new();
-    for (name, values) in [("velocity", rows.velocity), ("normals", rows.normal)] {
-        if let Some(values) = values {
-            let bytes = values.as_flattened().iter().flat_map(|value| value.to_le_bytes());
-            point_data += &arrays.add(name, "Float32", 3, bytes);
-        }
-    }
-    for (name, values) in rows.integers() {
-        point_data += &arrays.add(name, "UInt32", 1, values.iter().flat_map(|value| value.to_le_bytes()));
-    }
+    let Ok(cells) = i32::try_from(count) else {
+        return Err(io::Error::other(format!("vtu holds {} particles, found {count}", i32::MAX)));
+    };
     let active = match (rows.velocity, rows.normal) {
         (Some(_), _) => " Vectors=\"velocity\"",
         (None, Some(_)) => " Normals=\"normals\"",
         (None, None) => "",
     };
-    let positions = rows.position.as_flattened().iter().flat_map(|value| value.to_le_bytes());
-    let points = arrays.add("points", "Float32", 3, positions);
-    let particles = 0..count as u64;
-    let cells = arrays.add("connectivity", "Int64", 1, particles.clone().flat_map(u64::to_le_bytes))
-        + &arrays.add("offsets", "Int64", 1, particles.flat_map(|particle| (particle + 1).to_le_bytes()))
-        + &arrays.add("types", "UInt8", 1, std::iter::repeat_n(VERTEX_CELL, count));
     write!(
         out,
         "<?xml version=\"1.0\"?>\n\
          <VTKFile type=\"UnstructuredGrid\" version=\"1.0\" byte_order=\"LittleEndian\" header_type=\"UInt64\">\n\
-         <UnstructuredGrid>\n<Piece NumberOfPoints=\"{count}\" NumberOfCells=\"{count}\">\n\
-         <PointData{active}>\n{point_data}</PointData>\n<CellData>\n</CellData>\n\
-         <Points>\n{points}</Points>\n<Cells>\n{cells}</Cells>\n\
-         </Piece>\n</UnstructuredGrid>\n<AppendedData encoding=\"raw\">\n_"
+         <UnstructuredGrid>\n<Piece NumberOfPoints=\"{count}\" NumberOfCells=\"{count}\">\n<PointData{active}>\n"
     )?;
-    out.write_all(&arrays.appended)?;
-    out.write_all(b"\n</AppendedData>\n</VTKFile>\n")
+    for (name, values) in [("velocity", rows.velocity), ("normals", rows.normal)] {
+        if let Some(values) = values {
+            write_array(name, "Float32", 3, values.as_flattened().iter().flat_map(|v| v.to_le_bytes()), out)?;
+        }
+    }
+    for (name, values) in rows.integers() {
+        write_array(name, "UInt32", 1, values.iter().flat_map(|v| v.to_le_bytes()), out)?;
+    }
+    out.write_all(b"</PointData>\n<CellData>\n</CellData>\n<Points>\n")?;
+    let positions = rows.position.as_flattened().iter().flat_map(|v| v.to_le_bytes());
+    write_array("points", "Float32", 3, positions, out)?;
+    out.write_all(b"</Points>\n<Cells>\n")?;
+    write_array("connectivity", "Int32", 1, (0..cells).flat_map(i32::to_le_bytes), out)?;
+    write_array("offsets", "Int32", 1, (0..cells).flat_map(|cell| (cell + 1).to_le_bytes()), out)?;
+    write_array("types", "UInt8", 1, std::iter::repeat_n(VERTEX_CELL, count), out)?;
+    out.write_all(b"</Cells>\n</Piece>\n</UnstructuredGrid>\n</VTKFile>\n")
 }
 
 /// Writes an index of frames: their times in seconds and their file names.
@@ -107,25 +106,24 @@ pub(super) fn write_index(
 /// The number of VTK_VERTEX.
 const VERTEX_CELL: u8 = 1;
 
-/// The bytes of all arrays of a file that is written.
-#[derive(Default)]
-struct Arrays {
-    appended: Vec<u8>,
-}
-
-impl Arrays {
-    /// Appends an array; returns the element that refers to it.
-    fn add<B: IntoIterator<Item = u8>>(&mut self, name: &str, kind: &str, width: usize, bytes: B) -> String {
-        let offset = self.appended.len();
-        self.appended.extend([0; 8]);
-        self.appended.extend(bytes);
-        let length = (self.appended.len() - offset - 8) as u64;
-        self.appended[offset..offset + 8].copy_from_slice(&length.to_le_bytes());
-        format!(
-            "<DataArray type=\"{kind}\" Name=\"{name}\" NumberOfComponents=\"{width}\" format=\"appended\" \
-             offset=\"{offset}\"/>\n"
-        )
-    }
+/// Writes an array with its count of bytes before it, in base64: unlike raw bytes that keeps the file XML.
+fn write_array(
+    name: &str,
+    kind: &str,
+    width: usize,
+    bytes: impl Iterator<Item = u8>,
+    out: &mut dyn Write,
+) -> io::Result<()> {
+    const COUNT: usize = size_of::<u64>();
+    let mut data = vec![0; COUNT];
+    data.extend(bytes);
+    let length = (data.len() - COUNT) as u64;
+    data[..COUNT].copy_from_slice(&length.to_le_bytes());
+    write!(
+        out,
+        "<DataArray type=\"{kind}\" Name=\"{name}\" NumberOfComponents=\"{width}\" format=\"binary\">\n{}\n</DataArray>\n",
+        STANDARD.encode(data)
+    )
 }
 
 /// The part of a piece that the present element is in.
@@ -151,6 +149,8 @@ struct Wanted {
 #[derive(Default)]
 struct Parser {
     appended: Option<Appended>,
+    /// How much of the appended data has been read.
+    used: usize,
     encoding: Encoding,
     has_root: bool,
     complete: bool,
@@ -158,12 +158,18 @@ struct Parser {
     /// Points of the present piece.
     points: usize,
     array: Option<Wanted>,
+    /// How many elements within that of the array are open; ParaView keeps ranges there.
+    inner: usize,
     piece: Columns,
     columns: Columns,
 }
 
 impl Parser {
     fn start(&mut self, tag: &BytesStart<'_>) -> Parsed<()> {
+        if self.array.is_some() {
+            self.inner += 1;
+            return Ok(());
+        }
         match tag.name().as_ref() {
             "VTKFile" => {
                 self.has_root = true;
@@ -188,6 +194,10 @@ impl Parser {
     }
 
     fn end(&mut self, name: &str) -> Parsed<()> {
+        if self.inner > 0 {
+            self.inner -= 1;
+            return Ok(());
+        }
         match name {
             "VTKFile" => self.complete = true,
             "Points" | "PointData" => self.section = Section::Other,
@@ -245,7 +255,7 @@ impl Parser {
         Ok(Some(Wanted { quantity, name, width, scalar, format, offset, text: String::new() }))
     }
 
-    fn values(&self, array: &Wanted) -> Parsed<Vec<f64>> {
+    fn values(&mut self, array: &Wanted) -> Parsed<Vec<f64>> {
         let Some(total) = self.points.checked_mul(array.width) else {
             return Err(format!("{} points of {} values claimed", self.points, array.width));
         };
@@ -261,7 +271,14 @@ impl Parser {
         let Some(expected) = total.checked_mul(array.scalar.size()) else {
             return Err(format!("{total} values claimed"));
         };
-        let bytes = source.decode(&self.encoding, expected)?;
+        let (bytes, used) = source.decode(&self.encoding, expected)?;
+        if let ("appended", Some(appended)) = (array.format.as_str(), &self.appended) {
+            // Arrays that share their data could be many times the size of the file.
+            self.used += used;
+            if self.used > appended.len() {
+                return Err("its data overlaps that of another array".into());
+            }
+        }
         Ok(array.scalar.decode_all(self.encoding.order, &bytes))
     }
 }

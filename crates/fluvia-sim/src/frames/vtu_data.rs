@@ -55,6 +55,11 @@ impl Appended {
         Ok(Appended { base64, bytes })
     }
 
+    /// Bytes of the data, as they are encoded.
+    pub(super) fn len(&self) -> usize {
+        self.bytes.len()
+    }
+
     /// The data from `offset` on.
     pub(super) fn source(&self, offset: usize) -> Parsed<Source<'_>> {
         match self.bytes.get(offset..) {
@@ -80,15 +85,15 @@ impl Source<'_> {
         Source { base64: true, bytes: Cow::Owned(bytes) }
     }
 
-    /// The data of the array, which must be of `expected` bytes.
-    pub(super) fn decode(&self, encoding: &Encoding, expected: usize) -> Parsed<Vec<u8>> {
+    /// The data of the array, which must be of `expected` bytes, and how many bytes encode it.
+    pub(super) fn decode(&self, encoding: &Encoding, expected: usize) -> Parsed<(Vec<u8>, usize)> {
         let mut pieces = Pieces { source: self, position: 0 };
         let bytes = match encoding.compressed {
             true => compressed(&mut pieces, encoding, expected)?,
             false => plain(&mut pieces, encoding, expected)?,
         };
         match bytes.len() == expected {
-            true => Ok(bytes),
+            true => Ok((bytes, pieces.position)),
             false => Err(format!("{} bytes, expected {expected}", bytes.len())),
         }
     }
