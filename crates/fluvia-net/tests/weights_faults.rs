@@ -1,6 +1,8 @@
 //! Weight files with faults, made by the tests: each gives an error of one line that names the file, what was
 //! found and what was expected.
 
+#![allow(clippy::unwrap_used, reason = "a test that fails says where")]
+
 mod common;
 
 use common::{Archived, View, deflated, fixture, list, network, pt, replace_in_header, stored, view};

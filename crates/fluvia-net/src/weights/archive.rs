@@ -157,15 +157,18 @@ pub(super) fn element_count(shape: &[usize]) -> Result<usize, String> {
         .ok_or_else(|| format!("shape {shape:?} has more elements than memory can hold"))
 }
 
-/// Checks that the tensors together, held as f64, stay within the limit of a file of `length` bytes.
+/// Checks that the tensors together stay within the limit of a file of `length` bytes, and so does each of them
+/// while it is held as f64.
 pub(super) fn check_total(entries: &[Entry], length: usize) -> Result<(), String> {
+    let limit = memory_limit(length);
+    // What an uncompressed tensor of one-byte elements can need.
+    let held_limit = limit.max((length as u64).saturating_mul(size_of::<f64>() as u64));
     let mut total = 0_u64;
     for entry in entries {
-        let bytes = element_count(&entry.shape)
-            .map_err(|fault| format!("tensor `{}`: {fault}", entry.name))? as u64
-            * entry.element.size().unwrap_or(1) as u64;
-        total = total.saturating_add(bytes);
-        if total > memory_limit(length) {
+        let count =
+            element_count(&entry.shape).map_err(|fault| format!("tensor `{}`: {fault}", entry.name))?;
+        total = total.saturating_add(count as u64 * entry.element.size().unwrap_or(1) as u64);
+        if total > limit || (count * size_of::<f64>()) as u64 > held_limit {
             return Err(format!(
                 "tensor `{}` has shape {:?}: more data than a file of {length} bytes can hold",
                 entry.name, entry.shape

@@ -13,6 +13,7 @@
 use std::ops::Range;
 use std::path::Path;
 
+use fluvia_sim::frames::write_atomically;
 use safetensors::tensor::{Dtype, SafeTensorError, SafeTensors, TensorView, serialize};
 use serde::{Deserialize, Serialize};
 
@@ -67,13 +68,11 @@ pub fn to_safetensors(weights: &Weights) -> Result<Vec<u8>> {
 /// # Errors
 /// `Parameter` as [`to_safetensors`]; `Io` if the file cannot be written.
 pub fn save_safetensors(path: impl AsRef<Path>, weights: &Weights) -> Result<()> {
-    let path = path.as_ref();
     let bytes = to_safetensors(weights)?;
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let temporary = path.with_file_name(format!(".{name}.tmp"));
-    std::fs::write(&temporary, bytes)
-        .and_then(|()| std::fs::rename(&temporary, path))
-        .map_err(Error::io(path))
+    write_atomically(path.as_ref(), |out| out.write_all(&bytes)).map_err(|error| match error {
+        fluvia_sim::Error::Io { path, source } => Error::Io { path, source },
+        other => Error::file(path.as_ref(), other.to_string()),
+    })
 }
 
 /// A tensor in the form of the file.

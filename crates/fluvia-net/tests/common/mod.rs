@@ -1,5 +1,6 @@
 //! What the tests of weight files share: the network of the fixtures, and writers of files with faults.
 
+#![allow(clippy::unwrap_used, reason = "a test that fails says where")]
 #![allow(dead_code, reason = "each test file takes what it needs")]
 
 use std::io::{Cursor, Write};
