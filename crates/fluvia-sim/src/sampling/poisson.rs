@@ -103,8 +103,7 @@ fn eliminate(points: &[[f32; 3]], count: usize, r_max: f64) -> Vec<usize> {
         (1.0 - d / r_max).powi(ALPHA)
     };
     let others = |i: usize| neighbors.row(i).iter().map(|&j| j as usize).filter(move |&j| j != i);
-    let mut weights: Vec<f64> =
-        (0..points.len()).map(|i| others(i).map(|j| weight(i, j)).sum()).collect();
+    let mut weights: Vec<f64> = (0..points.len()).map(|i| others(i).map(|j| weight(i, j)).sum()).collect();
     let mut heap: BinaryHeap<Heaviest> =
         weights.iter().enumerate().map(|(index, &weight)| Heaviest { weight, index }).collect();
     let mut is_kept = vec![true; points.len()];

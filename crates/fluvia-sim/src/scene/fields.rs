@@ -88,7 +88,9 @@ impl<'a> Fields<'a> {
         // Up to here an f64 holds every whole number.
         const MOST: f64 = (1_u64 << 53) as f64;
         match self.get(key) {
-            Some(Node::Number(x)) if x.fract() == 0.0 && *x >= least as f64 && *x <= MOST => Ok(Some(*x as u64)),
+            Some(Node::Number(x)) if x.fract() == 0.0 && *x >= least as f64 && *x <= MOST => {
+                Ok(Some(*x as u64))
+            }
             Some(node) => self.wrong(key, node, &format!("a whole number of at least {least}")),
             None => Ok(None),
         }

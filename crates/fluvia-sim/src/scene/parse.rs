@@ -7,8 +7,7 @@ use super::json::{self, Node};
 use super::{Fluid, Material, Placement, Rotation, Scene, Source, Wall};
 use crate::shapes::Shape;
 
-const SCENE_KEYS: [&str; 7] =
-    ["walls", "fluids", "gravity", "dt", "particle_radius", "viscosity", "density"];
+const SCENE_KEYS: [&str; 7] = ["walls", "fluids", "gravity", "dt", "particle_radius", "viscosity", "density"];
 const WALL_KEYS: [&str; 7] =
     ["path", "particles", "shape", "scale", "rotation", "translation", "invert_normals"];
 const FLUID_KEYS: [&str; 12] = [
@@ -103,7 +102,9 @@ fn source(fields: &Fields<'_>) -> Parsed<Source> {
 
 fn placement(fields: &Fields<'_>) -> Parsed<Placement> {
     let scale = match fields.get("scale") {
-        Some(Node::Number(_)) => fields.number("scale", Allowed::Positive, "or three of them")?.map(|s| [s; 3]),
+        Some(Node::Number(_)) => {
+            fields.number("scale", Allowed::Positive, "or three of them")?.map(|s| [s; 3])
+        }
         _ => fields.vector("scale", Allowed::Positive, "or one for all axes")?,
     };
     let rotation = match fields.get("rotation") {
@@ -111,11 +112,7 @@ fn placement(fields: &Fields<'_>) -> Parsed<Placement> {
         None => None,
     };
     let translation = fields.vector("translation", Allowed::Any, "metres")?;
-    Ok(Placement {
-        scale: scale.unwrap_or([1.0; 3]),
-        rotation,
-        translation: translation.unwrap_or([0.0; 3]),
-    })
+    Ok(Placement { scale: scale.unwrap_or([1.0; 3]), rotation, translation: translation.unwrap_or([0.0; 3]) })
 }
 
 fn rotation(node: &Node, path: &str) -> Parsed<Rotation> {
