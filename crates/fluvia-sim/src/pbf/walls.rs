@@ -101,11 +101,13 @@ impl Walls {
         best.1
     }
 
-    /// The plane to move along and how far.
+    /// The plane to move along and how far. On a ridge that is the plane with the shortest way out, in a hollow
+    /// the one with the longest.
     fn violated_plane(&self, position: Vector, nearest: usize, near: &[u32]) -> Option<(Vector, f32)> {
         let depth = |b: usize| self.clearance - dot(sub(position, self.position[b]), self.normal[b]);
         let flat = FLAT * self.reach;
-        let mut deepest = (depth(nearest), nearest);
+        let mut shallowest = (depth(nearest), nearest);
+        let mut deepest = (0.0, None);
         for &b in near {
             let b = b as usize;
             let offset = sub(position, self.position[b]);
@@ -116,12 +118,53 @@ impl Walls {
             let (ahead, behind) = (dot(edge, self.normal[nearest]), -dot(edge, self.normal[b]));
             if ahead > flat && behind > flat {
                 if depth(b) > deepest.0 {
-                    deepest = (depth(b), b);
+                    deepest = (depth(b), Some(b));
                 }
-            } else if ahead < -flat && behind < -flat && depth(b) <= 0.0 {
-                return None;
+            } else if (ahead < -flat || behind < -flat) && depth(b) < shallowest.0 {
+                shallowest = (depth(b), b);
             }
         }
-        (deepest.0 > 0.0).then(|| (self.normal[deepest.1], deepest.0))
+        let (depth, b) = match deepest {
+            (depth, Some(b)) if depth > shallowest.0 => (depth, b),
+            _ => shallowest,
+        };
+        (depth > 0.0).then(|| (self.normal[b], depth))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A step seen from above and from its side: y = 0 where x <= 0, and x = 0 where y <= 0.
+    fn step() -> Walls {
+        let spacing = 0.02;
+        let mut boundary = Boundary::default();
+        for i in 0..8 {
+            for k in -8..8 {
+                let (along, z) = (-(i as f32) * spacing, k as f32 * spacing);
+                boundary.position.extend([[along, 0.0, z], [0.0, along, z]]);
+                boundary.normal.extend([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]);
+            }
+        }
+        Walls::new(&boundary, &CubicSpline::new(0.1), 0.0125)
+    }
+
+    #[test]
+    fn on_a_ridge_the_shortest_way_out_is_taken() {
+        let walls = step();
+        let all: Vec<u32> = (0..walls.position.len() as u32).collect();
+        for x in [-0.04, -0.03, -0.02, -0.01] {
+            for z in [0.0, 0.004, 0.01] {
+                // A little too near to the upper face, and far behind the plane of the side.
+                let position = [x, 0.01, z];
+                assert_eq!(walls.keep_clear(position, &all), [x, 0.0125, z]);
+                // Clear of the upper face: the side does not act.
+                let position = [x, 0.03, z];
+                assert_eq!(walls.keep_clear(position, &all), position);
+            }
+        }
+        // In front of the side, a little too near.
+        assert_eq!(walls.keep_clear([0.01, -0.03, 0.0], &all), [0.0125, -0.03, 0.0]);
     }
 }

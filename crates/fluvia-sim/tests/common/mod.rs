@@ -51,7 +51,17 @@ pub fn particles(position: Vec<[f32; 3]>, velocity: [f32; 3]) -> Particles {
 pub fn emitter(position: Vec<[f32; 3]>, velocity: [f32; 3], [start, stop, step]: [u64; 3]) -> Emitter {
     let velocity = vec![velocity; position.len()];
     let material = Material::default();
-    Emitter { source: "block".into(), path: None, position, velocity, start, stop, step, material }
+    Emitter {
+        source: "block".into(),
+        path: None,
+        position,
+        velocity,
+        unused_velocity: None,
+        start,
+        stop,
+        step,
+        material,
+    }
 }
 
 /// A scene.
