@@ -142,8 +142,9 @@ mod tests {
         let mut boundary = Boundary::default();
         for i in 0..8 {
             for k in -8..8 {
+                // Near the edge the nearest piece is one of the side.
                 let (along, z) = (-(i as f32) * spacing, k as f32 * spacing);
-                boundary.position.extend([[along, 0.0, z], [0.0, along, z]]);
+                boundary.position.extend([[along - 0.03, 0.0, z], [0.0, along - 0.001, z]]);
                 boundary.normal.extend([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]);
             }
         }
@@ -154,7 +155,7 @@ mod tests {
     fn on_a_ridge_the_shortest_way_out_is_taken() {
         let walls = step();
         let all: Vec<u32> = (0..walls.position.len() as u32).collect();
-        for x in [-0.04, -0.03, -0.02, -0.01] {
+        for x in [-0.03, -0.02, -0.012, -0.008, -0.004] {
             for z in [0.0, 0.004, 0.01] {
                 // A little too near to the upper face, and far behind the plane of the side.
                 let position = [x, 0.01, z];
