@@ -1,7 +1,7 @@
 //! Keras files (`.h5`, HDF5): weights alone, or a whole model with them in the group `model_weights`.
 //!
 //! A layer is a group with arrays below it: `conv1/MODEL/conv1/kernel:0`. Convolutions are stored as
-//! [depth, height, width, in, out], dense layers as [in, out].
+//! `[depth, height, width, in, out]`, dense layers as `[in, out]`.
 
 use std::collections::HashSet;
 
