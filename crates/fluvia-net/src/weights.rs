@@ -8,7 +8,7 @@
 //! layers[k]     convolution + dense  n_k                   -> n_(k+1); the last gives 3 or 6 outputs
 //! ```
 //!
-//! Filters are [depth, height, width, in, out] (z slowest), dense matrices [in, out]; PyTorch files hold the
+//! Filters are `[depth, height, width, in, out]` (z slowest), dense matrices `[in, out]`; PyTorch files hold the
 //! transpose of the latter. The published network has a = b = c = 32 and layers of 64, 64 and 3 outputs.
 //!
 //! Read are the published PyTorch (`.pt`) and Keras (`.h5`) files, files made like them, and safetensors;
@@ -65,9 +65,9 @@ pub struct Convolution {
     pub inputs: usize,
     /// Channels out.
     pub outputs: usize,
-    /// The filter, [depth, height, width, in, out].
+    /// The filter, `[depth, height, width, in, out]`.
     pub kernel: Vec<f32>,
-    /// Added to each output, [out].
+    /// Added to each output, `[out]`.
     pub bias: Vec<f32>,
 }
 
@@ -78,9 +78,9 @@ pub struct Dense {
     pub inputs: usize,
     /// Channels out.
     pub outputs: usize,
-    /// The matrix, [in, out].
+    /// The matrix, `[in, out]`.
     pub weight: Vec<f32>,
-    /// Added to each output, [out].
+    /// Added to each output, `[out]`.
     pub bias: Vec<f32>,
 }
 
@@ -190,7 +190,7 @@ impl Weights {
 pub struct Tensor<'a> {
     /// The name in files: `conv1.kernel`.
     pub name: String,
-    /// Extents, outermost first. Dense weights are [in, out].
+    /// Extents, outermost first. Dense weights are `[in, out]`.
     pub shape: Vec<usize>,
     /// Row-major values.
     pub values: &'a [f32],

@@ -3,9 +3,7 @@
 
 mod common;
 
-use std::path::{Path, PathBuf};
-
-use common::{fixture, network};
+use common::{fixture, network, reference};
 use fluvia_net::config::{Config, Integration};
 use fluvia_net::weights::{self, FileKind, Weights};
 use proptest::prelude::*;
@@ -156,20 +154,6 @@ proptest! {
         let read = weights::from_bytes("x", weights::to_safetensors(&weights).unwrap()).unwrap();
         prop_assert_eq!(read, weights);
     }
-}
-
-/// A file of the reference folder, or a printed reason why it is not there.
-fn reference(name: &str) -> Option<PathBuf> {
-    let folder = std::env::var_os("FLUVIA_REFERENCE").map_or_else(
-        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/reference"),
-        PathBuf::from,
-    );
-    let path = folder.join(name);
-    if path.exists() {
-        return Some(path);
-    }
-    println!("skipped: {} is not there (set FLUVIA_REFERENCE to the reference folder)", path.display());
-    None
 }
 
 #[test]

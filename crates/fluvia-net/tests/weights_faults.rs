@@ -143,6 +143,20 @@ fn an_hdf5_file_that_was_cut_says_how_long_it_should_be() {
 }
 
 #[test]
+fn chunks_of_hdf5_files_must_be_there_and_in_their_places() {
+    let bytes = std::fs::read(fixture("model.h5")).unwrap();
+    // The index of the chunks of one array: a node of type 1 with the count of chunks at byte 6 and, from byte 24
+    // on, length and filter mask of the first chunk and its place.
+    let node = bytes.windows(5).position(|window| window == b"TREE\x01").unwrap();
+    let mut elsewhere = bytes.clone();
+    elsewhere[node + 32..node + 40].copy_from_slice(&u64::MAX.to_le_bytes());
+    assert_fault(elsewhere, &["tensor `conv", "chunks in their places, expected "]);
+    let mut missing = bytes;
+    missing[node + 6..node + 8].copy_from_slice(&[0; 2]);
+    assert_fault(missing, &["tensor `conv", "0 of 0 chunks in their places, expected "]);
+}
+
+#[test]
 fn a_pytorch_file_that_was_cut_is_named() {
     let bytes = std::fs::read(fixture("plain.pt")).unwrap();
     for length in [4, 30, 1000, bytes.len() - 1] {

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::archive::Archive;
-use super::{Convolution, Dense, FileKind, Layer, Weights, keras, pytorch, safetensors};
+use super::{Convolution, Dense, FileKind, Layer, Weights, keras, safetensors};
 use crate::config::{BASE_INPUTS, Config, Integration, WALL_INPUTS};
 
 /// The tensor by which a network is found in a file.
@@ -47,7 +47,7 @@ fn names(archive: &dyn Archive) -> Result<BTreeMap<String, usize>, String> {
     let files: Vec<&str> = archive.entries().iter().map(|entry| entry.name.as_str()).collect();
     let prefix = match archive.kind() {
         FileKind::Keras => None,
-        FileKind::PyTorch | FileKind::Safetensors => Some(pytorch::prefix(&files, ANCHOR)?),
+        FileKind::PyTorch | FileKind::Safetensors => Some(prefix(&files)?),
     };
     let mut names = BTreeMap::new();
     for (index, file) in files.iter().enumerate() {
@@ -61,6 +61,31 @@ fn names(archive: &dyn Archive) -> Result<BTreeMap<String, usize>, String> {
         }
     }
     Ok(names)
+}
+
+/// What stands before the names of the network in a PyTorch file: `module.` of a parallel wrapper, the key of a
+/// training checkpoint.
+fn prefix(names: &[&str]) -> Result<String, String> {
+    let mut prefixes: Vec<&str> = names
+        .iter()
+        .filter_map(|name| name.strip_suffix(ANCHOR))
+        .filter(|prefix| prefix.is_empty() || prefix.ends_with('.'))
+        .collect();
+    // A checkpoint may hold several copies (an average beside the model): the usual places come first.
+    const USUAL: [&str; 4] = ["", "model_state_dict.", "state_dict.", "model."];
+    let usual = USUAL.iter().find_map(|place| {
+        let wrapped = format!("{place}module.");
+        prefixes.iter().find(|prefix| *prefix == place || **prefix == wrapped)
+    });
+    match (usual, prefixes.as_slice()) {
+        (Some(prefix), _) => Ok((*prefix).to_owned()),
+        (None, []) => Ok(String::new()),
+        (None, [prefix]) => Ok((*prefix).to_owned()),
+        (None, _) => {
+            prefixes.sort_unstable();
+            Err(format!("several networks, under `{}`: expected one", prefixes.join("`, `")))
+        }
+    }
 }
 
 struct Tensors<'a> {

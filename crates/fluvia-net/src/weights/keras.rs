@@ -1,7 +1,9 @@
 //! Keras files (`.h5`, HDF5): weights alone, or a whole model with them in the group `model_weights`.
 //!
 //! A layer is a group with arrays below it: `conv1/MODEL/conv1/kernel:0`. Convolutions are stored as
-//! [depth, height, width, in, out], dense layers as [in, out].
+//! `[depth, height, width, in, out]`, dense layers as `[in, out]`.
+
+use std::collections::HashSet;
 
 use hdf5_pure::{AttrValue, Dataset, Datatype, DatatypeByteOrder, File, Group, Layout};
 
@@ -23,12 +25,11 @@ const MAX_PATH: usize = 1024;
 /// Opens a Keras file.
 pub(super) fn open(bytes: Vec<u8>) -> Result<KerasFile, String> {
     let length = bytes.len();
-    let file = File::from_bytes(bytes).map_err(|fault| {
-        format!("{length} bytes that begin as a Keras file (HDF5), truncated or damaged: {fault}")
-    })?;
+    let file = File::from_bytes(bytes)
+        .map_err(|fault| format!("damaged or truncated Keras file (HDF5) of {length} bytes: {fault}"))?;
     let expected = file.superblock().eof_address;
     if expected > length as u64 {
-        return Err(format!("truncated HDF5 file: {expected} bytes expected, {length} found"));
+        return Err(format!("truncated Keras file (HDF5): {expected} bytes expected, {length} found"));
     }
     let root = file.root();
     let mut walk = Walk { length, objects: 0, arrays: Vec::new() };
@@ -63,7 +64,7 @@ impl Archive for KerasFile {
     fn values(&mut self, index: usize) -> Result<Vec<f64>, String> {
         let (entry, dataset) = (&self.entries[index], &self.datasets[index]);
         let Some(size) = entry.element.size() else { return Err(entry.element.not_read()) };
-        check_layout(dataset, size, self.limit)?;
+        check_layout(dataset, entry, size, self.limit)?;
         let values = match entry.element {
             Element::F16 => {
                 let big = matches!(
@@ -90,19 +91,38 @@ impl Archive for KerasFile {
     }
 }
 
-/// Checks how an array is stored before a byte of it is asked for.
-fn check_layout(dataset: &Dataset, size: usize, limit: u64) -> Result<(), String> {
-    match dataset.layout().map_err(|fault| fault.to_string())? {
-        Layout::Contiguous { address: None, .. } => Err("its values were never written".into()),
-        Layout::Chunked { chunk_shape, .. } => {
-            let bytes = chunk_shape.iter().try_fold(size as u64, |bytes, &extent| bytes.checked_mul(extent));
-            if bytes.is_none_or(|bytes| bytes > limit) {
-                return Err(format!("chunks of shape {chunk_shape:?}: more than the file can hold"));
-            }
-            Ok(())
-        }
-        _ => Ok(()),
+/// Checks how an array is stored before a byte of it is asked for: what was never written would be read as
+/// zeros, and a chunk that lies elsewhere than its index says would be added to places that do not exist.
+fn check_layout(dataset: &Dataset, entry: &Entry, size: usize, limit: u64) -> Result<(), String> {
+    let chunk_shape = match dataset.layout().map_err(|fault| fault.to_string())? {
+        Layout::Contiguous { address: None, .. } => return Err("its values were never written".into()),
+        Layout::Chunked { chunk_shape, .. } => chunk_shape,
+        _ => return Ok(()),
+    };
+    let bytes = chunk_shape.iter().try_fold(size as u64, |bytes, &extent| bytes.checked_mul(extent));
+    let fits = chunk_shape.len() == entry.shape.len()
+        && !chunk_shape.contains(&0)
+        && bytes.is_some_and(|bytes| bytes <= limit);
+    if !fits {
+        return Err(format!(
+            "chunks of shape {chunk_shape:?}, expected no more than the file can hold of {:?}",
+            entry.shape
+        ));
     }
+    let chunks = dataset.chunks().map_err(|fault| fault.to_string())?;
+    let grid = entry.shape.iter().zip(&chunk_shape).map(|(&extent, &chunk)| (extent as u64).div_ceil(chunk));
+    // Neither the count of elements nor, therefore, that of chunks overflows.
+    let expected: u64 = grid.product();
+    let places: HashSet<&[u64]> = chunks.iter().map(|chunk| chunk.offset.as_slice()).collect();
+    let inside = |place: &&[u64]| {
+        let mut axes = place.iter().zip(&chunk_shape).zip(&entry.shape);
+        axes.all(|((&at, &chunk), &extent)| at.is_multiple_of(chunk) && at < extent as u64)
+    };
+    let found = places.iter().filter(|place| inside(place)).count();
+    if found as u64 != expected || found != chunks.len() {
+        return Err(format!("{found} of {} chunks in their places, expected {expected}", chunks.len()));
+    }
+    Ok(())
 }
 
 struct Walk {

@@ -18,6 +18,9 @@ use super::pickle::{Id, Pickle, Value};
 /// How a zip archive begins.
 pub(super) const MAGIC: &[u8] = b"PK\x03\x04";
 
+/// How the last record of a zip archive begins.
+const DIRECTORY_END: &[u8] = b"PK\x05\x06";
+
 /// Whether a file is a PyTorch file from before version 1.6: pickles in a row (their first is a number that
 /// says so), or a tar archive.
 pub(super) fn is_legacy(bytes: &[u8]) -> bool {
@@ -43,9 +46,11 @@ const MAX_DEPTH: usize = 12;
 /// Opens a PyTorch file.
 pub(super) fn open(bytes: Vec<u8>) -> Result<PyTorchFile, String> {
     let length = bytes.len();
-    let mut zip = ZipArchive::new(Cursor::new(bytes)).map_err(|fault| {
-        format!("{length} bytes that begin as a PyTorch file (zip), truncated or damaged: {fault}")
-    })?;
+    if !bytes.windows(DIRECTORY_END.len()).any(|window| window == DIRECTORY_END) {
+        return Err(format!("truncated PyTorch file: {length} bytes without the zip directory that ends it"));
+    }
+    let mut zip = ZipArchive::new(Cursor::new(bytes))
+        .map_err(|fault| format!("damaged or truncated PyTorch file of {length} bytes: {fault}"))?;
     let root = root(&zip)?;
     let pickle = Pickle::parse(&member(&mut zip, &format!("{root}data.pkl"), MAX_PICKLE)?)?;
     check_byte_order(&mut zip, &root)?;
@@ -369,29 +374,4 @@ fn persistent(pickle: &Pickle, storage: Id) -> Result<(Element, String, usize), 
         _ => Element::Other(class.to_owned()),
     };
     Ok((element, key.to_owned(), length))
-}
-
-/// The name of a tensor of a network in a PyTorch file without what wraps it: `module.` of a parallel
-/// wrapper, the key of a training checkpoint. The prefix is chosen once for a file.
-pub(super) fn prefix(names: &[&str], anchor: &str) -> Result<String, String> {
-    let mut prefixes: Vec<&str> = names
-        .iter()
-        .filter_map(|name| name.strip_suffix(anchor))
-        .filter(|prefix| prefix.is_empty() || prefix.ends_with('.'))
-        .collect();
-    // A checkpoint may hold several copies (an average beside the model): the usual places come first.
-    const USUAL: [&str; 4] = ["", "model_state_dict.", "state_dict.", "model."];
-    let usual = USUAL.iter().find_map(|place| {
-        let wrapped = format!("{place}module.");
-        prefixes.iter().find(|prefix| *prefix == place || **prefix == wrapped)
-    });
-    match (usual, prefixes.as_slice()) {
-        (Some(prefix), _) => Ok((*prefix).to_owned()),
-        (None, []) => Ok(String::new()),
-        (None, [prefix]) => Ok((*prefix).to_owned()),
-        (None, _) => {
-            prefixes.sort_unstable();
-            Err(format!("several networks, under `{}`: expected one", prefixes.join("`, `")))
-        }
-    }
 }

@@ -6,7 +6,7 @@
 //! data     the tensors one after the other
 //! ```
 //!
-//! Tensors have the names and shapes of the published PyTorch file (dense weights are [out, in]), with its
+//! Tensors have the names and shapes of the published PyTorch file (dense weights are `[out, in]`), with its
 //! constants `gravity` and `conv*.offset`, so that PyTorch loads the file into the published network. RECORD is
 //! a JSON text: format version, units, network, physics, integration mode, training record.
 

@@ -16,6 +16,20 @@ pub fn fixture(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/weights").join(name)
 }
 
+/// A file of the reference folder, or a printed reason why it is not there.
+pub fn reference(name: &str) -> Option<PathBuf> {
+    let folder = std::env::var_os("FLUVIA_REFERENCE").map_or_else(
+        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/reference"),
+        PathBuf::from,
+    );
+    let path = folder.join(name);
+    if path.exists() {
+        return Some(path);
+    }
+    println!("skipped: {} is not there (set FLUVIA_REFERENCE to the reference folder)", path.display());
+    None
+}
+
 /// The network of the fixtures, made by the same formula.
 pub fn network(outputs: usize) -> Weights {
     const FILTER: [usize; 3] = [2, 3, 4];
