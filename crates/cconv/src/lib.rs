@@ -18,7 +18,7 @@
 //! | pointwise weights | \[in, out\] | |
 //!
 //! What depends on the points alone is computed once by [`Geometry::build`] and shared by every layer on
-//! the same points; [`forward`] then applies one [`Filter`] to one set of features. [`reference`] is the
+//! the same points; [`forward`] then applies one [`Filter`] to one set of features. [`mod@reference`] is the
 //! same in float64 as a double loop: the specification that everything here is tested against.
 //!
 //! ```

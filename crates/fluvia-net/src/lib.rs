@@ -1,6 +1,6 @@
 //! The learned solver: the network of Fig. 2, its integration (Eq. 10-14) and its weights.
 //!
-//! [`solver::NetSolver`] moves particles as any solver of `fluvia-sim` does. [`reference`] is the same step in
+//! [`solver::NetSolver`] moves particles as any solver of `fluvia-sim` does. [`mod@reference`] is the same step in
 //! float64, the specification that it is tested against.
 
 pub mod config;

@@ -31,8 +31,8 @@ const VISCOSITY: &str = "viscosity";
 
 impl NetSolver {
     /// A solver for the given walls. `viscosity` holds the viscosity of each body of the scene; where it is
-    /// `None` the weights' own value counts. A network without that input ignores them: whether it can honour the
-    /// scene is for [`check_materials`] to say.
+    /// `None` the weights' own value counts. A network without that input ignores them: it moves every fluid as
+    /// if it had the viscosity of its training data.
     ///
     /// # Errors
     /// `Parameter` if the network has an input other than the viscosity, or its layers do not fit.
