@@ -65,7 +65,7 @@ impl TriangleMesh {
     pub fn load(path: impl AsRef<Path>) -> Result<TriangleMesh> {
         let path = path.as_ref();
         let Some(format) = Format::from_path(path) else {
-            return Err(Error::file(path, "not a mesh by its extension, expected .obj, .ply or .stl"));
+            return Err(Error::file(path, "not a mesh by its extension, expected .obj, .ply or .stl (particles: key `particles`)"));
         };
         if fs::metadata(path).map_err(Error::io(path))?.is_dir() {
             return Err(Error::file(path, "a directory, expected a mesh file"));

@@ -1,6 +1,125 @@
 //! Scene files: the published JSON and our optional keys.
+//!
+//! ```text
+//! text -> Scene (what the file says) -> Setup (particles)
+//! ```
+//!
+//! docs/formats.md has the keys. A [`Scene`] keeps what was left out apart from what was given, so that a
+//! solver can tell a wish that it cannot fulfil from a default.
 
-use std::path::PathBuf;
+mod fields;
+mod json;
+mod parse;
+mod placement;
+mod sample;
+mod warnings;
+
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+pub use placement::{Placement, Rotation};
+
+use crate::mesh::TriangleMesh;
+use crate::particles::Boundary;
+use crate::shapes::Shape;
+use crate::{Error, Result};
+
+/// Gravity where a scene says nothing, metres per second squared.
+pub const DEFAULT_GRAVITY: [f32; 3] = [0.0, -9.81, 0.0];
+/// Seconds between frames where a scene says nothing: the 50 Hz of the published data.
+pub const DEFAULT_DT: f32 = 0.02;
+/// Particle radius where a scene says nothing, metres: that of the published data.
+pub const DEFAULT_PARTICLE_RADIUS: f32 = 0.025;
+
+/// The largest scene file that is read: scenes are written by hand and refer to what is large.
+const MAX_BYTES: u64 = 16 << 20;
+
+/// The scenes that come with the program, by name.
+const SHIPPED: [(&str, &str); 3] = [
+    ("dam_break", include_str!("../../../assets/scenes/dam_break.json")),
+    ("two_bodies", include_str!("../../../assets/scenes/two_bodies.json")),
+    ("emitter_step", include_str!("../../../assets/scenes/emitter_step.json")),
+];
+
+/// The text of a scene that comes with the program, from assets/scenes; it names no files.
+pub fn shipped(name: &str) -> Option<&'static str> {
+    SHIPPED.iter().find(|scene| scene.0 == name).map(|scene| scene.1)
+}
+
+/// The names that [`shipped`] knows.
+pub fn shipped_names() -> impl Iterator<Item = &'static str> {
+    SHIPPED.iter().map(|scene| scene.0)
+}
+
+/// What a scene file says; `None` where it says nothing.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Scene {
+    /// The file, for messages and as the place that its paths start from.
+    pub path: PathBuf,
+    /// The walls, in order.
+    pub walls: Vec<Wall>,
+    /// The fluid bodies, in order; at least one.
+    pub fluids: Vec<Fluid>,
+    /// External acceleration, metres per second squared.
+    pub gravity: Option<[f32; 3]>,
+    /// Seconds between frames.
+    pub dt: Option<f32>,
+    /// Half the particle spacing, metres.
+    pub particle_radius: Option<f32>,
+    /// The material of all fluids that have none of their own.
+    pub material: Material,
+}
+
+/// A wall of a scene.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Wall {
+    /// Where its particles come from.
+    pub source: Source,
+    /// Where it is put.
+    pub placement: Placement,
+    /// Whether the fluid is on the side that the faces look to. Normals always point into the fluid.
+    pub invert_normals: bool,
+}
+
+/// A fluid body of a scene.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Fluid {
+    /// Where its particles come from.
+    pub source: Source,
+    /// Where it is put.
+    pub placement: Placement,
+    /// Metres per second. Velocities in a particle file come first.
+    pub velocity: Option<[f32; 3]>,
+    /// First step that emits.
+    pub start: u64,
+    /// First step that does not emit any more.
+    pub stop: u64,
+    /// Steps between emissions, at least 1.
+    pub step: u64,
+    /// Its own material.
+    pub material: Material,
+}
+
+/// Where the particles of a body come from.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Source {
+    /// A mesh file to sample; the path is relative to the scene file.
+    Mesh(String),
+    /// A file of particles; the path is relative to the scene file.
+    Particles(String),
+    /// A built-in shape to sample.
+    Shape(Shape),
+}
+
+impl Source {
+    /// The path or name, as in the scene file.
+    pub fn name(&self) -> &str {
+        match self {
+            Source::Mesh(path) | Source::Particles(path) => path,
+            Source::Shape(shape) => shape.name(),
+        }
+    }
+}
 
 /// Material of one fluid body; `None` where the scene says nothing.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -11,11 +130,48 @@ pub struct Material {
     pub density: Option<f32>,
 }
 
+impl Scene {
+    /// Reads a scene file. The files that it names are read by [`sample`](Scene::sample).
+    ///
+    /// # Errors
+    /// `Io` if the file cannot be read; `File`, with line or key, if it is not a scene.
+    pub fn load(path: impl AsRef<Path>) -> Result<Scene> {
+        let path = path.as_ref();
+        let metadata = std::fs::metadata(path).map_err(Error::io(path))?;
+        if metadata.is_dir() {
+            return Err(Error::file(path, "a directory, expected a scene file (JSON)"));
+        }
+        if metadata.len() > MAX_BYTES {
+            let message = format!("{} bytes, expected a scene of at most {MAX_BYTES}", metadata.len());
+            return Err(Error::file(path, message));
+        }
+        let bytes = std::fs::read(path).map_err(Error::io(path))?;
+        Scene::parse(&bytes, path)
+    }
+
+    /// Reads the content of a scene file; `path` is for messages and for the paths in it.
+    ///
+    /// # Errors
+    /// `File`, with line or key, if it is not a scene.
+    pub fn parse(text: &[u8], path: impl AsRef<Path>) -> Result<Scene> {
+        let path = path.as_ref();
+        parse::scene(text, path).map_err(|message| Error::file(path, message))
+    }
+
+    /// Turns the scene into particles. The same seed gives the same bits.
+    ///
+    /// # Errors
+    /// If a file that the scene names is missing, damaged or no body that can be sampled.
+    pub fn sample(&self, seed: u64) -> Result<Setup> {
+        sample::sample(self, seed)
+    }
+}
+
 /// A scene turned into particles: everything that a rollout needs.
 #[derive(Clone, Debug)]
 pub struct Setup {
     /// All wall particles.
-    pub boundary: crate::particles::Boundary,
+    pub boundary: Boundary,
     /// Which wall particles came from which wall of the scene.
     pub walls: Vec<SampledWall>,
     /// One per fluid of the scene, in its order.
@@ -28,13 +184,23 @@ pub struct Setup {
     pub particle_radius: f32,
 }
 
+impl Setup {
+    /// What will surprise in this set-up though it can be run, one line each: fluid that starts in or against
+    /// a wall, bodies that overlap, layers of an emitter that overlap, velocities that are not used.
+    pub fn warnings(&self) -> Vec<String> {
+        warnings::warnings(self)
+    }
+}
+
 /// The particles of one wall.
 #[derive(Clone, Debug)]
 pub struct SampledWall {
     /// The file or built-in shape that it was sampled from, as the scene names it.
     pub source: String,
     /// Its rows in [`Setup::boundary`].
-    pub range: std::ops::Range<usize>,
+    pub range: Range<usize>,
+    /// Its surface where that encloses a solid: no fluid belongs inside.
+    pub solid: Option<TriangleMesh>,
 }
 
 /// A body of fluid and when it enters the scene: in steps k with `start <= k < stop` and
@@ -49,12 +215,14 @@ pub struct Emitter {
     pub position: Vec<[f32; 3]>,
     /// Velocities of the particles, metres per second.
     pub velocity: Vec<[f32; 3]>,
+    /// The velocity that the scene gives and that is not used, because the particle file has velocities.
+    pub unused_velocity: Option<[f32; 3]>,
     /// First step that emits.
     pub start: u64,
     /// First step that does not emit any more.
     pub stop: u64,
     /// Steps between emissions, at least 1.
     pub step: u64,
-    /// Its material.
+    /// Its material, the scene's where it has none of its own.
     pub material: Material,
 }

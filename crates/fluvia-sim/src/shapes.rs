@@ -1,8 +1,8 @@
 //! Built-in shapes, named in scene files: meshes of unit size made by code.
 //!
-//! Solids are centred on the origin. Containers stand on y = 0 around the y axis. All fit a cube of side 1, so
-//! that `scale` is the size in metres. Their faces look outwards: as walls they hold the fluid inside, and
-//! with `invert_normals` a solid is an obstacle in it.
+//! Solids (box to torus) are centred on the origin; containers (container to bowl) stand on y = 0 around the
+//! y axis. All fit a cube of side 1, so that `scale` is the size in metres. Their faces look outwards: as
+//! walls they hold the fluid inside, and with `invert_normals` a solid is an obstacle in it.
 
 use std::f64::consts::{PI, TAU};
 
@@ -12,8 +12,6 @@ use crate::mesh::TriangleMesh;
 const SEGMENTS: usize = 48;
 /// Parts of a half circle from pole to pole, as fine as the sides.
 const HALF_SEGMENTS: usize = SEGMENTS / 2;
-/// Number of stairs in [`Shape::Stairs`].
-const STAIRS: usize = 3;
 /// The radius of the circle in the middle of the torus' tube, and of the tube: together 1/2.
 const TORUS_RADII: (f64, f64) = (0.375, 0.125);
 
@@ -30,12 +28,12 @@ pub enum Shape {
     Cone,
     /// `torus`: a ring around y, 1 wide, with a tube of diameter 0.25.
     Torus,
-    /// `ramp`: a wedge that rises along x from nothing to height 1.
-    Ramp,
-    /// `stairs`: three stairs that rise along x.
-    Stairs,
     /// `container`: a cube of side 1 that stands on y = 0.
     Container,
+    /// `step`: a container whose floor is 1/4 high where x < 0.
+    Step,
+    /// `ramp`: a container whose floor falls from 1/2 at the side of low x to 0 in the middle.
+    Ramp,
     /// `basin`: a container without its lid.
     Basin,
     /// `bowl`: the lower half of a sphere of diameter 1, open above, its lowest point at y = 0.
@@ -50,9 +48,9 @@ impl Shape {
         Shape::Cylinder,
         Shape::Cone,
         Shape::Torus,
-        Shape::Ramp,
-        Shape::Stairs,
         Shape::Container,
+        Shape::Step,
+        Shape::Ramp,
         Shape::Basin,
         Shape::Bowl,
     ];
@@ -65,9 +63,9 @@ impl Shape {
             Shape::Cylinder => "cylinder",
             Shape::Cone => "cone",
             Shape::Torus => "torus",
-            Shape::Ramp => "ramp",
-            Shape::Stairs => "stairs",
             Shape::Container => "container",
+            Shape::Step => "step",
+            Shape::Ramp => "ramp",
             Shape::Basin => "basin",
             Shape::Bowl => "bowl",
         }
@@ -80,16 +78,17 @@ impl Shape {
 
     /// Its surface.
     pub fn mesh(self) -> TriangleMesh {
-        let square = [[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]];
         match self {
-            Shape::Box => extrude(&square),
+            Shape::Box => extrude(&[[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]),
             Shape::Sphere => revolve(&half_circle(1.0, 0.0)),
             Shape::Cylinder => revolve(&[[0.0, -0.5], [0.5, -0.5], [0.5, 0.5], [0.0, 0.5]]),
             Shape::Cone => revolve(&[[0.0, -0.5], [0.5, -0.5], [0.0, 0.5]]),
             Shape::Torus => revolve(&tube_circle()),
-            Shape::Ramp => extrude(&square[..3]),
-            Shape::Stairs => extrude(&stairs()),
-            Shape::Container => Shape::Box.mesh().map(|[x, y, z]| [x, y + 0.5, z]),
+            Shape::Container => extrude(&[[-0.5, 0.0], [0.5, 0.0], [0.5, 1.0], [-0.5, 1.0]]),
+            Shape::Step => {
+                extrude(&[[-0.5, 0.25], [0.0, 0.25], [0.0, 0.0], [0.5, 0.0], [0.5, 1.0], [-0.5, 1.0]])
+            }
+            Shape::Ramp => extrude(&[[-0.5, 0.5], [0.0, 0.0], [0.5, 0.0], [0.5, 1.0], [-0.5, 1.0]]),
             Shape::Basin => {
                 let mut mesh = Shape::Container.mesh();
                 let positions = &mesh.positions;
@@ -121,16 +120,6 @@ fn tube_circle() -> Vec<[f64; 2]> {
         [ring - tube * angle.cos(), -tube * angle.sin()]
     };
     (0..=HALF_SEGMENTS).map(point).collect()
-}
-
-fn stairs() -> Vec<[f64; 2]> {
-    let level = |k: usize| k as f64 / STAIRS as f64 - 0.5;
-    let mut profile = vec![[-0.5, -0.5], [0.5, -0.5]];
-    for k in (0..STAIRS).rev() {
-        profile.push([level(k + 1), level(k + 1)]);
-        profile.push([level(k), level(k + 1)]);
-    }
-    profile
 }
 
 /// Turns a profile of points (radius, y) around the y axis. The outside is to its right.
@@ -191,8 +180,7 @@ mod tests {
             Shape::Cylinder => PI / 4.0,
             Shape::Cone => PI / 12.0,
             Shape::Torus => TAU * ring * PI * tube * tube,
-            Shape::Ramp => 0.5,
-            Shape::Stairs => 2.0 / 3.0,
+            Shape::Step | Shape::Ramp => 0.875,
             Shape::Basin | Shape::Bowl => f64::NAN,
         };
         for shape in Shape::ALL {

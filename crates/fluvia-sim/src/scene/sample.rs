@@ -1,0 +1,195 @@
+//! From a [`Scene`] to the particles of its walls and fluids.
+
+use std::path::{Path, PathBuf};
+
+use rand_pcg::Pcg64;
+use rand_pcg::rand_core::{Rng, SeedableRng};
+
+use super::{
+    DEFAULT_DT, DEFAULT_GRAVITY, DEFAULT_PARTICLE_RADIUS, Emitter, Fluid, Material, Placement, SampledWall,
+    Scene, Setup, Source, Wall,
+};
+use crate::mesh::TriangleMesh;
+use crate::particles::Boundary;
+use crate::sampling::{Fault, sample_surface, sample_volume};
+use crate::{Error, Result, frames};
+
+pub(super) fn sample(scene: &Scene, seed: u64) -> Result<Setup> {
+    let mut setup = Setup {
+        boundary: Boundary::default(),
+        walls: Vec::new(),
+        emitters: Vec::new(),
+        gravity: scene.gravity.unwrap_or(DEFAULT_GRAVITY),
+        dt: scene.dt.unwrap_or(DEFAULT_DT),
+        particle_radius: scene.particle_radius.unwrap_or(DEFAULT_PARTICLE_RADIUS),
+    };
+    let mut random = Pcg64::seed_from_u64(seed);
+    for (i, wall) in scene.walls.iter().enumerate() {
+        // One seed a wall: a change of one leaves the others as they are.
+        let mut random = Pcg64::seed_from_u64(random.next_u64());
+        let body = Body::new(scene, &wall.source, &wall.placement, format!("walls[{i}]"));
+        let (particles, solid) = sample_wall(wall, &body, setup.particle_radius, &mut random)?;
+        let start = setup.boundary.position.len();
+        setup.boundary.position.extend(particles.position);
+        setup.boundary.normal.extend(particles.normal);
+        let range = start..setup.boundary.position.len();
+        setup.walls.push(SampledWall { source: wall.source.name().into(), range, solid });
+    }
+    for (i, fluid) in scene.fluids.iter().enumerate() {
+        let body = Body::new(scene, &fluid.source, &fluid.placement, format!("fluids[{i}]"));
+        setup.emitters.push(sample_fluid(fluid, &body, setup.particle_radius, &scene.material)?);
+    }
+    Ok(setup)
+}
+
+/// The particles of a wall, and its surface if that encloses a solid.
+fn sample_wall(
+    wall: &Wall,
+    body: &Body<'_>,
+    radius: f32,
+    random: &mut Pcg64,
+) -> Result<(Boundary, Option<TriangleMesh>)> {
+    if let Source::Particles(_) = wall.source {
+        return Ok((body.wall_particles(wall.invert_normals)?, None));
+    }
+    let mesh = body.mesh()?;
+    let mut particles = sample_surface(&mesh, radius, random).map_err(|fault| body.fault(&fault))?;
+    body.place(&mut particles.position)?;
+    if !wall.invert_normals {
+        particles.normal.iter_mut().for_each(|normal| *normal = normal.map(|x| -x));
+    }
+    // The fluid is on the side that faces look away from, unless inverted: is that the outside?
+    let is_solid = mesh.is_oriented() && (mesh.volume() > 0.0) == wall.invert_normals;
+    let placed = |x: [f64; 3]| body.placement.translate(x.map(|x| x as f32)).map(f64::from);
+    Ok((particles, is_solid.then(|| mesh.map(placed))))
+}
+
+fn sample_fluid(fluid: &Fluid, body: &Body<'_>, radius: f32, scene: &Material) -> Result<Emitter> {
+    let (mut position, file_velocity) = match fluid.source {
+        Source::Particles(_) => body.fluid_particles()?,
+        _ => (sample_volume(&body.mesh()?, radius).map_err(|fault| body.fault(&fault))?, None),
+    };
+    body.place(&mut position)?;
+    let has_velocity = file_velocity.is_some();
+    let velocity =
+        file_velocity.unwrap_or_else(|| vec![fluid.velocity.unwrap_or_default(); position.len()]);
+    Ok(Emitter {
+        source: fluid.source.name().into(),
+        path: body.path.clone(),
+        position,
+        velocity,
+        unused_velocity: fluid.velocity.filter(|velocity| has_velocity && *velocity != [0.0; 3]),
+        start: fluid.start,
+        stop: fluid.stop,
+        step: fluid.step,
+        material: Material {
+            viscosity: fluid.material.viscosity.or(scene.viscosity),
+            density: fluid.material.density.or(scene.density),
+        },
+    })
+}
+
+/// A wall or a fluid on its way to particles: what to read, where to put it, what to call it.
+struct Body<'a> {
+    source: &'a Source,
+    placement: &'a Placement,
+    key: String,
+    scene_path: &'a Path,
+    /// The file that it is read from, if it is one.
+    path: Option<PathBuf>,
+}
+
+impl<'a> Body<'a> {
+    fn new(scene: &'a Scene, source: &'a Source, placement: &'a Placement, key: String) -> Body<'a> {
+        let path = match source {
+            Source::Mesh(name) | Source::Particles(name) => {
+                Some(scene.path.parent().unwrap_or(Path::new("")).join(name))
+            }
+            Source::Shape(_) => None,
+        };
+        Body { source, placement, key, scene_path: &scene.path, path }
+    }
+
+    /// An error that names the file of the body; for a shape, the scene.
+    fn error(&self, message: impl std::fmt::Display) -> Error {
+        match &self.path {
+            Some(path) => Error::file(path, format!("{} of the scene: {message}", self.key)),
+            None => {
+                Error::file(self.scene_path, format!("{} (shape {}): {message}", self.key, self.source.name()))
+            }
+        }
+    }
+
+    fn fault(&self, fault: &Fault) -> Error {
+        self.error(fault)
+    }
+
+    /// The surface, scaled and rotated but not moved: what is sampled does not depend on where it is put.
+    fn mesh(&self) -> Result<TriangleMesh> {
+        let mesh = match (self.source, &self.path) {
+            (Source::Shape(shape), _) => shape.mesh(),
+            (_, Some(path)) => TriangleMesh::load(path)?,
+            (_, None) => TriangleMesh::default(),
+        };
+        let mesh = mesh.map(|x| self.placement.turn(x));
+        self.check_finite(&mesh.positions)?;
+        Ok(mesh)
+    }
+
+    fn particles(&self) -> Result<frames::ParticleData> {
+        let particles = match &self.path {
+            Some(path) => frames::read(path)?,
+            None => frames::ParticleData::default(),
+        };
+        if particles.position.is_empty() {
+            return Err(self.error("no particles, expected at least one"));
+        }
+        Ok(particles)
+    }
+
+    /// Positions, scaled and rotated, and velocities, rotated.
+    #[allow(clippy::type_complexity, reason = "two columns of a file")]
+    fn fluid_particles(&self) -> Result<(Vec<[f32; 3]>, Option<Vec<[f32; 3]>>)> {
+        let particles = self.particles()?;
+        let rotate = |v: [f32; 3]| self.placement.rotate(v.map(f64::from)).map(|x| x as f32);
+        let velocity = particles.velocity.map(|velocity| velocity.into_iter().map(rotate).collect());
+        Ok((self.turned(particles.position), velocity))
+    }
+
+    /// Wall particles; files of the published script have the normals as velocities.
+    fn wall_particles(&self, invert: bool) -> Result<Boundary> {
+        let particles = self.particles()?;
+        let Some(normals) = particles.normal.or(particles.velocity) else {
+            return Err(self.error("no normals, expected one for each wall particle"));
+        };
+        let sign = if invert { -1.0 } else { 1.0 };
+        let mut normal = Vec::with_capacity(normals.len());
+        for (i, n) in normals.into_iter().enumerate() {
+            let Some(turned) = self.placement.turn_normal(n.map(f64::from)) else {
+                return Err(self.error(format!("normal of particle {i} is zero, expected a direction")));
+            };
+            normal.push(turned.map(|x| (sign * x) as f32));
+        }
+        let mut position = self.turned(particles.position);
+        self.place(&mut position)?;
+        Ok(Boundary { position, normal })
+    }
+
+    fn turned(&self, positions: Vec<[f32; 3]>) -> Vec<[f32; 3]> {
+        let turn = |x: [f32; 3]| self.placement.turn(x.map(f64::from)).map(|x| x as f32);
+        positions.into_iter().map(turn).collect()
+    }
+
+    /// Moves positions that were turned.
+    fn place(&self, positions: &mut [[f32; 3]]) -> Result<()> {
+        positions.iter_mut().for_each(|x| *x = self.placement.translate(*x));
+        self.check_finite(positions)
+    }
+
+    fn check_finite(&self, positions: &[[f32; 3]]) -> Result<()> {
+        if positions.iter().flatten().all(|x| x.is_finite()) {
+            return Ok(());
+        }
+        Err(self.error("too large for float32 after scale, rotation and translation"))
+    }
+}
