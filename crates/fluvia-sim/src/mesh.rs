@@ -65,7 +65,10 @@ impl TriangleMesh {
     pub fn load(path: impl AsRef<Path>) -> Result<TriangleMesh> {
         let path = path.as_ref();
         let Some(format) = Format::from_path(path) else {
-            return Err(Error::file(path, "not a mesh by its extension, expected .obj, .ply or .stl (particles: key `particles`)"));
+            return Err(Error::file(
+                path,
+                "not a mesh by its extension, expected .obj, .ply or .stl (particles: key `particles`)",
+            ));
         };
         if fs::metadata(path).map_err(Error::io(path))?.is_dir() {
             return Err(Error::file(path, "a directory, expected a mesh file"));
@@ -207,7 +210,8 @@ fn number(word: &str) -> std::result::Result<f32, String> {
 /// Foreign text in an error message: what can be printed of it, on one line and not all of it if it is long.
 fn shorten(text: &str) -> String {
     const LONGEST: usize = 40;
-    let mut short: String = text.chars().take(LONGEST).map(|c| if c.is_control() { '?' } else { c }).collect();
+    let mut short: String =
+        text.chars().take(LONGEST).map(|c| if c.is_control() { '?' } else { c }).collect();
     if text.chars().nth(LONGEST).is_some() {
         short.push_str("...");
     }
@@ -268,9 +272,10 @@ mod tests {
             both
         };
         let moved = add(cube.map(|[x, y, z]| [x + 0.5, y + 0.25, z + 0.125]));
-        assert_eq!(moved.contains(&[[0.25, 0.1, 0.1], [0.8, 0.3, 0.1], [0.8, -0.4, 0.1]]), [
-            true, true, false
-        ]);
+        assert_eq!(
+            moved.contains(&[[0.25, 0.1, 0.1], [0.8, 0.3, 0.1], [0.8, -0.4, 0.1]]),
+            [true, true, false]
+        );
         let mut inner = cube.map(|x| x.map(|x| 0.5 * x));
         inner.triangles.iter_mut().for_each(|t| t.swap(0, 1));
         assert_eq!(add(inner).contains(&[[0.1, 0.1, 0.1], [0.4, 0.1, 0.1]]), [false, true]);

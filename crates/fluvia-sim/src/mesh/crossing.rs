@@ -5,8 +5,8 @@
 //! arithmetic for every triangle that shares it: on a closed surface the crossings of each side cancel
 //! between its triangles, so that every line enters as often as it leaves, whatever rounding does.
 
-use super::geometry::{Vec3, cross, sub};
 use super::TriangleMesh;
+use super::geometry::{Vec3, cross, sub};
 
 /// A vertical line that passes through a triangle.
 #[derive(Clone, Copy, Debug)]

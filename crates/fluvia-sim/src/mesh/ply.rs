@@ -49,7 +49,8 @@ pub(super) fn parse(bytes: &[u8]) -> Result<Polygons, String> {
         if element.properties.is_empty() {
             continue;
         }
-        let names = |property: &&Property| ["vertex_indices", "vertex_index"].contains(&property.name.as_str());
+        let names =
+            |property: &&Property| ["vertex_indices", "vertex_index"].contains(&property.name.as_str());
         match element.name.as_str() {
             "vertex" => read_vertices(element, &mut body, &mut polygons)?,
             "face" if element.properties.iter().any(|p| names(&p)) => {

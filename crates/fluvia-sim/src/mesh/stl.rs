@@ -88,7 +88,8 @@ fn ascii(text: &[u8]) -> Result<Polygons, String> {
                     polygons.positions.push(position);
                 }
                 "endloop" => {
-                    let first = loop_start.take().ok_or_else(|| at_line("`endloop` without a loop".into()))?;
+                    let first =
+                        loop_start.take().ok_or_else(|| at_line("`endloop` without a loop".into()))?;
                     let end = polygons.positions.len();
                     if end - first < 3 {
                         return Err(at_line(format!("a face of {} corners, expected 3", end - first)));

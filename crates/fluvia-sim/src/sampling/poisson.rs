@@ -45,8 +45,7 @@ pub fn sample_surface(mesh: &TriangleMesh, radius: f32, random: &mut Pcg64) -> R
     if count < 1.0 {
         return Err(Fault::TooSmall { size, spacing: 2.0 * radius });
     }
-    // Comparing the other way round would let NaN pass.
-    if !(count <= MAX_WALL_PARTICLES as f64) {
+    if count.is_nan() || count > MAX_WALL_PARTICLES as f64 {
         let most = MAX_WALL_PARTICLES;
         return Err(Fault::TooMany { size, count, most, spacing: 2.0 * radius });
     }
@@ -103,8 +102,7 @@ fn eliminate(points: &[[f32; 3]], count: usize, r_max: f64) -> Vec<usize> {
         (1.0 - d / r_max).powi(ALPHA)
     };
     let others = |i: usize| neighbors.row(i).iter().map(|&j| j as usize).filter(move |&j| j != i);
-    let mut weights: Vec<f64> =
-        (0..points.len()).map(|i| others(i).map(|j| weight(i, j)).sum()).collect();
+    let mut weights: Vec<f64> = (0..points.len()).map(|i| others(i).map(|j| weight(i, j)).sum()).collect();
     let mut heap: BinaryHeap<Heaviest> =
         weights.iter().enumerate().map(|(index, &weight)| Heaviest { weight, index }).collect();
     let mut is_kept = vec![true; points.len()];

@@ -39,8 +39,8 @@ pub(super) fn parse(bytes: &[u8]) -> Result<Node, String> {
     if bytes.starts_with(b"\xff\xfe") || bytes.starts_with(b"\xfe\xff") {
         return Err("text in UTF-16, expected a scene in JSON as UTF-8".into());
     }
-    let text = std::str::from_utf8(bytes)
-        .map_err(|_| "not text (UTF-8), expected a scene in JSON".to_string())?;
+    let text =
+        std::str::from_utf8(bytes).map_err(|_| "not text (UTF-8), expected a scene in JSON".to_string())?;
     serde_json::from_str(text).map_err(|error| syntax_error(text, &error))
 }
 

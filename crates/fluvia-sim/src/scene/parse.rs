@@ -7,8 +7,7 @@ use super::json::{self, Node};
 use super::{Fluid, Material, Placement, Rotation, Scene, Source, Wall};
 use crate::shapes::Shape;
 
-const SCENE_KEYS: [&str; 7] =
-    ["walls", "fluids", "gravity", "dt", "particle_radius", "viscosity", "density"];
+const SCENE_KEYS: [&str; 7] = ["walls", "fluids", "gravity", "dt", "particle_radius", "viscosity", "density"];
 const WALL_KEYS: [&str; 7] =
     ["path", "particles", "shape", "scale", "rotation", "translation", "invert_normals"];
 const FLUID_KEYS: [&str; 12] = [
@@ -31,13 +30,14 @@ pub(super) fn scene(text: &[u8], path: &Path) -> Parsed<Scene> {
     let root = json::parse(text)?;
     let fields = Fields::of(&root, "", "a scene", &SCENE_KEYS)?;
     let walls = fields.list("walls", "walls")?;
+    let walls = walls.iter().enumerate().map(|(i, node)| wall(node, i)).collect::<Parsed<_>>()?;
     let fluids = fields.list("fluids", "fluid bodies")?;
     if fluids.is_empty() {
         return Err("`fluids`: an empty list, expected at least one fluid body".into());
     }
     Ok(Scene {
         path: path.to_path_buf(),
-        walls: walls.iter().enumerate().map(|(i, node)| wall(node, i)).collect::<Parsed<_>>()?,
+        walls,
         fluids: fluids.iter().enumerate().map(|(i, node)| fluid(node, i)).collect::<Parsed<_>>()?,
         gravity: fields.vector("gravity", Allowed::Any, "metres per second squared")?,
         dt: fields.number("dt", Allowed::Positive, "seconds between frames")?,
@@ -103,7 +103,9 @@ fn source(fields: &Fields<'_>) -> Parsed<Source> {
 
 fn placement(fields: &Fields<'_>) -> Parsed<Placement> {
     let scale = match fields.get("scale") {
-        Some(Node::Number(_)) => fields.number("scale", Allowed::Positive, "or three of them")?.map(|s| [s; 3]),
+        Some(Node::Number(_)) => {
+            fields.number("scale", Allowed::Positive, "or three of them")?.map(|s| [s; 3])
+        }
         _ => fields.vector("scale", Allowed::Positive, "or one for all axes")?,
     };
     let rotation = match fields.get("rotation") {
@@ -111,11 +113,7 @@ fn placement(fields: &Fields<'_>) -> Parsed<Placement> {
         None => None,
     };
     let translation = fields.vector("translation", Allowed::Any, "metres")?;
-    Ok(Placement {
-        scale: scale.unwrap_or([1.0; 3]),
-        rotation,
-        translation: translation.unwrap_or([0.0; 3]),
-    })
+    Ok(Placement { scale: scale.unwrap_or([1.0; 3]), rotation, translation: translation.unwrap_or([0.0; 3]) })
 }
 
 fn rotation(node: &Node, path: &str) -> Parsed<Rotation> {

@@ -71,8 +71,7 @@ fn sample_fluid(fluid: &Fluid, body: &Body<'_>, radius: f32, scene: &Material) -
     };
     body.place(&mut position)?;
     let has_velocity = file_velocity.is_some();
-    let velocity =
-        file_velocity.unwrap_or_else(|| vec![fluid.velocity.unwrap_or_default(); position.len()]);
+    let velocity = file_velocity.unwrap_or_else(|| vec![fluid.velocity.unwrap_or_default(); position.len()]);
     Ok(Emitter {
         source: fluid.source.name().into(),
         path: body.path.clone(),
@@ -114,9 +113,10 @@ impl<'a> Body<'a> {
     fn error(&self, message: impl std::fmt::Display) -> Error {
         match &self.path {
             Some(path) => Error::file(path, format!("{} of the scene: {message}", self.key)),
-            None => {
-                Error::file(self.scene_path, format!("{} (shape {}): {message}", self.key, self.source.name()))
-            }
+            None => Error::file(
+                self.scene_path,
+                format!("{} (shape {}): {message}", self.key, self.source.name()),
+            ),
         }
     }
 
