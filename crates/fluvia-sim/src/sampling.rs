@@ -60,8 +60,11 @@ pub enum Fault {
     },
 }
 
-fn metres([x, y, z]: [f64; 3]) -> String {
+fn metres(size: [f64; 3]) -> String {
     // Four digits: more would be those of float32.
-    let round = |x: f64| format!("{:.3e}", x).parse::<f64>().unwrap_or(x);
-    format!("{} x {} x {} m", round(x), round(y), round(z))
+    let [x, y, z] = size.map(|x| match format!("{x:.3e}").parse::<f64>() {
+        Ok(rounded) if (1e-3..1e6).contains(&rounded) || rounded == 0.0 => rounded.to_string(),
+        _ => format!("{x:.3e}"),
+    });
+    format!("{x} x {y} x {z} m")
 }

@@ -41,8 +41,7 @@ pub fn sample_volume(mesh: &TriangleMesh, radius: f32) -> Result<Vec<[f32; 3]>, 
         return Err(too_small);
     }
     let estimate = mesh.volume().abs() / spacing.powi(3);
-    // Comparing the other way round would let NaN pass.
-    if !(estimate <= MAX_FLUID_PARTICLES as f64) {
+    if estimate.is_nan() || estimate > MAX_FLUID_PARTICLES as f64 {
         return Err(too_many(estimate));
     }
     if layers[0] * layers[2] > MAX_COLUMNS || layers[1] > MAX_COLUMNS {

@@ -45,8 +45,7 @@ pub fn sample_surface(mesh: &TriangleMesh, radius: f32, random: &mut Pcg64) -> R
     if count < 1.0 {
         return Err(Fault::TooSmall { size, spacing: 2.0 * radius });
     }
-    // Comparing the other way round would let NaN pass.
-    if !(count <= MAX_WALL_PARTICLES as f64) {
+    if count.is_nan() || count > MAX_WALL_PARTICLES as f64 {
         let most = MAX_WALL_PARTICLES;
         return Err(Fault::TooMany { size, count, most, spacing: 2.0 * radius });
     }

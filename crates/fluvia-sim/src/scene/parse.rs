@@ -30,13 +30,14 @@ pub(super) fn scene(text: &[u8], path: &Path) -> Parsed<Scene> {
     let root = json::parse(text)?;
     let fields = Fields::of(&root, "", "a scene", &SCENE_KEYS)?;
     let walls = fields.list("walls", "walls")?;
+    let walls = walls.iter().enumerate().map(|(i, node)| wall(node, i)).collect::<Parsed<_>>()?;
     let fluids = fields.list("fluids", "fluid bodies")?;
     if fluids.is_empty() {
         return Err("`fluids`: an empty list, expected at least one fluid body".into());
     }
     Ok(Scene {
         path: path.to_path_buf(),
-        walls: walls.iter().enumerate().map(|(i, node)| wall(node, i)).collect::<Parsed<_>>()?,
+        walls,
         fluids: fluids.iter().enumerate().map(|(i, node)| fluid(node, i)).collect::<Parsed<_>>()?,
         gravity: fields.vector("gravity", Allowed::Any, "metres per second squared")?,
         dt: fields.number("dt", Allowed::Positive, "seconds between frames")?,

@@ -2,11 +2,14 @@
 
 use fluvia_neighbors::{Grid, Neighbors, Options, Radius};
 
-use super::{Emitter, Setup};
+use super::{Emitter, SampledWall, Setup};
 
-/// Fluid nearer to a wall particle than this many radii starts against the wall. A body that touches a wall
-/// has its particles one radius away, or less by rounding.
+/// Fluid nearer to a wall than this many radii starts against it. A body that touches a wall has its particles
+/// one radius away, or less by rounding.
 const AGAINST_WALL: f32 = 0.95;
+
+/// A wall particle stands for the wall this many radii around it: the gaps between Poisson disks are not wider.
+const WALL_DISK: f32 = 1.25;
 
 /// Particles nearer than this many spacings are in the same place: a solver throws them apart.
 const SAME_PLACE: f32 = 0.5;
@@ -41,12 +44,10 @@ pub(super) fn warnings(setup: &Setup) -> Vec<String> {
 
 /// Fluid particles in solid walls, or so near to one that they will be thrown away from it.
 fn in_walls(setup: &Setup, warnings: &mut Vec<String>) {
-    let reach = AGAINST_WALL * setup.particle_radius;
     for (i, wall) in setup.walls.iter().enumerate() {
-        let near = Points::new(&setup.boundary.position[wall.range.clone()], reach);
         let (mut count, mut bodies) = (0, Vec::new());
         for (k, emitter) in setup.emitters.iter().enumerate() {
-            let mut is_bad = near.clone().any_within(&emitter.position, reach);
+            let mut is_bad = against_wall(setup, wall, &emitter.position);
             if let Some(solid) = &wall.solid {
                 let inside = solid.contains(&emitter.position);
                 is_bad.iter_mut().zip(inside).for_each(|(bad, inside)| *bad |= inside);
@@ -60,12 +61,28 @@ fn in_walls(setup: &Setup, warnings: &mut Vec<String>) {
         if count > 0 {
             let particles = if count == 1 { "particle starts" } else { "particles start" };
             warnings.push(format!(
-                "{}: {count} fluid {particles} in or against it (within {reach} m), of {}",
+                "{}: {count} fluid {particles} in it or nearer than a radius ({} m), of {}",
                 name("walls", i, &wall.source),
+                setup.particle_radius,
                 bodies.join(", ")
             ));
         }
     }
+}
+
+/// Which positions are within [`AGAINST_WALL`] of the wall, taken for a flat disk around each of its particles.
+fn against_wall(setup: &Setup, wall: &SampledWall, positions: &[[f32; 3]]) -> Vec<bool> {
+    let points = &setup.boundary.position[wall.range.clone()];
+    let normals = &setup.boundary.normal[wall.range.clone()];
+    let (height, width) = (AGAINST_WALL * setup.particle_radius, WALL_DISK * setup.particle_radius);
+    let neighbors = search(points, positions, height.hypot(width));
+    let is_near = |q: usize, j: usize| {
+        let offset = [0, 1, 2].map(|k| positions[q][k] - points[j][k]);
+        let across: f32 = (0..3).map(|k| offset[k] * normals[j][k]).sum();
+        let square: f32 = offset.iter().map(|x| x * x).sum();
+        across.abs() < height && square - across * across < width * width
+    };
+    (0..positions.len()).map(|q| neighbors.row(q).iter().any(|&j| is_near(q, j as usize))).collect()
 }
 
 /// Bodies that enter in the same step and share space.
@@ -94,17 +111,15 @@ fn count_inside(body: &[[f32; 3]], particles: &[[f32; 3]], spacing: f32) -> usiz
     // cubed.
     let full = 64.0 * std::f64::consts::PI * f64::from(SURROUNDINGS).powi(3) / 315.0;
     let radius = SURROUNDINGS * spacing;
-    let mut near = Points::new(body, radius);
     let same_place = (SAME_PLACE * spacing).powi(2);
-    let mut inside = 0;
-    near.for_each_row(particles, radius, |squares| {
+    let neighbors = search(body, particles, radius);
+    let is_inside = |row: &&[usize]| {
+        let squares = &neighbors.distances[row[0]..row[1]];
         let weight = |&square: &f32| (1.0 - f64::from(square / (radius * radius))).powi(3);
         let filled: f64 = squares.iter().map(weight).sum::<f64>() / full;
-        if filled > INSIDE || squares.iter().any(|&square| square < same_place) {
-            inside += 1;
-        }
-    });
-    inside
+        filled > INSIDE || squares.iter().any(|&square| square < same_place)
+    };
+    neighbors.row_splits.windows(2).filter(is_inside).count()
 }
 
 /// An emitter that fires again before its last layer has moved out of the way, by velocity and gravity.
@@ -121,8 +136,8 @@ fn layers_overlap(setup: &Setup, emitter: &Emitter, index: usize) -> Option<Stri
         .map(|(x, v)| [0, 1, 2].map(|k| x[k] + (v[k] + 0.5 * setup.gravity[k] * interval) * interval))
         .collect();
     let reach = LAYERS_APART * spacing;
-    let is_near = Points::new(&emitter.position, reach).any_within(&moved, reach);
-    let count = is_near.into_iter().filter(|&near| near).count();
+    let neighbors = search(&emitter.position, &moved, reach);
+    let count = (0..moved.len()).filter(|&q| neighbors.count(q) > 0).count();
     (count > 0).then(|| {
         format!(
             "{}: its layers overlap, {count} of {} particles are within {reach} m of the next layer when it comes \
@@ -137,33 +152,11 @@ fn name(list: &str, index: usize, source: &str) -> String {
     format!("{list}[{index}] ({source})")
 }
 
-/// Points to search among.
-#[derive(Clone)]
-struct Points<'a> {
-    points: &'a [[f32; 3]],
-    cell_size: f32,
-}
-
-impl<'a> Points<'a> {
-    fn new(points: &'a [[f32; 3]], cell_size: f32) -> Points<'a> {
-        Points { points, cell_size }
-    }
-
-    /// Which queries have a point within the radius.
-    fn any_within(&mut self, queries: &[[f32; 3]], radius: f32) -> Vec<bool> {
-        let mut found = Vec::with_capacity(queries.len());
-        self.for_each_row(queries, radius, |squares| found.push(!squares.is_empty()));
-        found
-    }
-
-    /// Calls `visit` for each query with the squared distances of the points within the radius.
-    fn for_each_row(&mut self, queries: &[[f32; 3]], radius: f32, mut visit: impl FnMut(&[f32])) {
-        let (mut grid, mut neighbors) = (Grid::new(), Neighbors::default());
-        grid.build(self.points, self.cell_size);
-        let options = Options { distances: true, ..Options::default() };
-        grid.search(queries, Radius::Uniform(radius), &options, &mut neighbors);
-        for row in neighbors.row_splits.windows(2) {
-            visit(&neighbors.distances[row[0]..row[1]]);
-        }
-    }
+/// The points within the radius of each query, with squared distances.
+fn search(points: &[[f32; 3]], queries: &[[f32; 3]], radius: f32) -> Neighbors {
+    let (mut grid, mut neighbors) = (Grid::new(), Neighbors::default());
+    grid.build(points, radius);
+    let options = Options { distances: true, ..Options::default() };
+    grid.search(queries, Radius::Uniform(radius), &options, &mut neighbors);
+    neighbors
 }
