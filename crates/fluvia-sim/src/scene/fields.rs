@@ -142,7 +142,7 @@ fn describe(allowed: Allowed) -> &'static str {
     }
 }
 
-/// The known key that was probably meant, if one is near: one edit, and one more for every three letters.
+/// The known key that was probably meant, if one is near: one edit, and one more for every two letters.
 fn nearest<'k>(key: &str, known: &[&'k str]) -> Option<&'k str> {
     // Long keys have no near one, and distances take time with their length.
     const LONGEST: usize = 64;
@@ -155,7 +155,7 @@ fn nearest<'k>(key: &str, known: &[&'k str]) -> Option<&'k str> {
         if is_part { 1 } else { strsim::damerau_levenshtein(&plain, name) }
     };
     let near = known.iter().min_by_key(|name| distance(name))?;
-    (distance(near) <= 1 + plain.len() / 3).then_some(*near)
+    (distance(near) <= 1 + plain.len() / 2).then_some(*near)
 }
 
 #[cfg(test)]
