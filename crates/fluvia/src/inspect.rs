@@ -8,9 +8,10 @@ use fluvia_net::weights::{self, Summary as WeightSummary};
 use fluvia_sim::frames::{self, Format, ParticleData, run};
 use fluvia_sim::mesh::TriangleMesh;
 use fluvia_sim::metrics::{self, Bounds};
-use fluvia_sim::scene::{Placement, Scene};
+use fluvia_sim::scene::Placement;
 use serde_json::{Value, json};
 
+use crate::record::{self, decimal};
 use crate::report::Report;
 
 /// Options of `fluvia inspect`.
@@ -22,7 +23,7 @@ Examples:
   fluvia inspect scene.json --json")]
 pub struct Args {
     /// Weights (.pt, .h5, .safetensors), a scene (.json), particles or a frame (.npz, .ply, .bgeo, .vtu, .vtk), a
-    /// mesh (.obj, .ply, .stl), or the directory of a run.
+    /// mesh (.obj, .ply, .stl), the directory of a run, or the name of a shipped scene.
     path: PathBuf,
     /// Print a JSON object.
     #[arg(long)]
@@ -46,7 +47,8 @@ fn file(path: &Path) -> Result<Value> {
     let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or_default();
     match extension.to_ascii_lowercase().as_str() {
         "pt" | "pth" | "h5" | "hdf5" | "keras" | "safetensors" => Ok(weight_file(&weights::summarize(path)?)),
-        "json" => scene(path),
+        "json" => scene(&path.display().to_string()),
+        "" if !path.exists() => scene(&path.display().to_string()),
         "obj" | "stl" => Ok(mesh_file(&TriangleMesh::load(path)?)),
         // A PLY file holds a mesh if it has faces, and particles otherwise.
         "ply" => match frames::read(path) {
@@ -72,8 +74,8 @@ fn weight_file(summary: &WeightSummary) -> Value {
         .map(|tensor| {
             let mut entry = json!({ "name": tensor.name, "shape": tensor.shape, "type": tensor.element });
             if let Some(s) = tensor.statistics {
-                entry["range"] = json!([s.min, s.max]);
-                entry["mean"] = json!(s.mean);
+                entry["range"] = json!([decimal(s.min as f32), decimal(s.max as f32)]);
+                entry["mean"] = json!(decimal(s.mean as f32));
                 if s.non_finite > 0 {
                     entry["not_finite"] = json!(s.non_finite);
                 }
@@ -92,40 +94,62 @@ fn weight_file(summary: &WeightSummary) -> Value {
     })
 }
 
-fn scene(path: &Path) -> Result<Value> {
-    let scene = Scene::load(path)?;
-    let place = |placement: &Placement| json!(format!("{placement:?}"));
+fn scene(name: &str) -> Result<Value> {
+    let (scene, _) = record::load_scene(name)?;
+    let setup = scene.sample(0)?;
     let walls: Vec<Value> = scene
         .walls
         .iter()
-        .map(|wall| json!({ "source": wall.source.name(), "placement": place(&wall.placement) }))
+        .zip(&setup.walls)
+        .map(|(wall, sampled)| {
+            let mut entry = json!({ "source": wall.source.name(), "particles": sampled.range.len() });
+            place(&mut entry, &wall.placement);
+            entry
+        })
         .collect();
-    let setup = scene.sample(0)?;
     let fluids: Vec<Value> = scene
         .fluids
         .iter()
         .zip(&setup.emitters)
         .map(|(fluid, emitter)| {
-            json!({
+            let mut entry = json!({
                 "source": fluid.source.name(),
                 "particles": emitter.position.len(),
                 "bounds_m": bounds(&emitter.position),
-                "emits_in_steps": format!("{} to {} by {}", fluid.start, fluid.stop, fluid.step),
-                "placement": place(&fluid.placement),
-            })
+            });
+            place(&mut entry, &fluid.placement);
+            if let Some(velocity) = fluid.velocity {
+                entry["velocity_m_per_s"] = json!(velocity.map(decimal));
+            }
+            entry["steps"] =
+                json!(format!("from {} before {} every {}", fluid.start, fluid.stop, fluid.step));
+            entry
         })
         .collect();
     Ok(json!({
         "kind": "scene",
         "walls": walls,
-        "wall_particles": setup.boundary.position.len(),
         "wall_bounds_m": bounds(&setup.boundary.position),
         "fluids": fluids,
-        "gravity_m_per_s2": setup.gravity,
-        "dt_s": setup.dt,
-        "particle_radius_m": setup.particle_radius,
+        "gravity_m_per_s2": setup.gravity.map(decimal),
+        "dt_s": decimal(setup.dt),
+        "particle_radius_m": decimal(setup.particle_radius),
         "warnings": setup.warnings(),
     }))
+}
+
+/// Adds where a body is put, as far as it is not where its file has it.
+fn place(entry: &mut Value, placement: &Placement) {
+    if placement.scale != [1.0; 3] {
+        entry["scale"] = json!(placement.scale.map(decimal));
+    }
+    if let Some(rotation) = placement.rotation {
+        let axis = rotation.axis.map(decimal);
+        entry["rotation"] = json!({ "axis": axis, "angle_degrees": decimal(rotation.angle) });
+    }
+    if placement.translation != [0.0; 3] {
+        entry["translation_m"] = json!(placement.translation.map(decimal));
+    }
 }
 
 fn mesh_file(mesh: &TriangleMesh) -> Value {
@@ -151,7 +175,7 @@ fn particle_file(particles: &ParticleData) -> Value {
         "bounds_m": bounds(&particles.position),
     });
     if let Some(velocity) = &particles.velocity {
-        found["highest_speed_m_per_s"] = json!(metrics::highest_speed(velocity));
+        found["highest_speed_m_per_s"] = json!(decimal(metrics::highest_speed(velocity)));
     }
     let columns = [
         ("velocity", particles.velocity.is_some()),
@@ -187,8 +211,8 @@ fn directory(path: &Path) -> Result<Value> {
     }))
 }
 
-fn bounds(points: &[[f32; 3]]) -> Option<[[f32; 3]; 2]> {
-    Bounds::of(points).map(|bounds| [bounds.low, bounds.high])
+fn bounds(points: &[[f32; 3]]) -> Option<[[f64; 3]; 2]> {
+    Bounds::of(points).map(|bounds| [bounds.low.map(decimal), bounds.high.map(decimal)])
 }
 
 /// Indented lines for a value: objects key by key, tables row by row.

@@ -1,10 +1,10 @@
-//! `run.json`: what a run was made from, and how it went.
+//! What a run is made from, and `run.json`, the record of that and of how it went.
 
 use std::path::Path;
 
 use anyhow::{Context, Result};
 use fluvia_sim::rollout;
-use fluvia_sim::scene::Setup;
+use fluvia_sim::scene::{self, Scene, Setup};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
@@ -102,6 +102,33 @@ pub fn read_source(path: &Path) -> Result<(Vec<u8>, Source)> {
     let bytes = std::fs::read(path).with_context(|| path.display().to_string())?;
     let source = Source { name: path.display().to_string(), sha256: sha256(&bytes) };
     Ok((bytes, source))
+}
+
+/// The scene of that path, or the shipped scene of that name.
+pub fn load_scene(name: &str) -> Result<(Scene, Source)> {
+    let path = Path::new(name);
+    match scene::shipped(name) {
+        Some(text) if !path.exists() => {
+            let source = Source { name: name.into(), sha256: sha256(text.as_bytes()) };
+            Ok((Scene::parse(text.as_bytes(), name)?, source))
+        }
+        _ => {
+            let scene = Scene::load(path).map_err(|error| {
+                let error = anyhow::Error::new(error);
+                if path.extension().is_some() || path.exists() {
+                    return error;
+                }
+                let shipped: Vec<_> = scene::shipped_names().collect();
+                error.context(format!("no shipped scene (there are {})", shipped.join(", ")))
+            })?;
+            Ok((scene, read_source(path)?.1))
+        }
+    }
+}
+
+/// The shortest decimal number that is this float32, for JSON values, which hold float64.
+pub fn decimal(x: f32) -> f64 {
+    x.to_string().parse().unwrap_or(f64::from(x))
 }
 
 /// The hash of some bytes as hexadecimal digits.

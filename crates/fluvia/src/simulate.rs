@@ -12,7 +12,7 @@ use fluvia_net::weights;
 use fluvia_sim::frames::{self, Format, Mode, RunDirectory};
 use fluvia_sim::pbf::{Params, Substep};
 use fluvia_sim::rollout::{self, Rollout, Solver, StepReport};
-use fluvia_sim::scene::{self, Scene, Setup};
+use fluvia_sim::scene::Setup;
 use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::record::{self, Record, Source, Summary};
@@ -105,7 +105,7 @@ pub fn thread_pool(threads: Option<std::num::NonZeroUsize>) -> Result<rayon::Thr
 }
 
 fn prepare(args: &Args, report: &Report) -> Result<Prepared> {
-    let (mut scene, scene_source) = load_scene(&args.scene)?;
+    let (mut scene, scene_source) = record::load_scene(&args.scene)?;
     let (choice, weights_source) = choose(args)?;
     choice.adapt(&mut scene)?;
     let setup = scene.sample(args.seed)?;
@@ -139,30 +139,6 @@ fn prepare(args: &Args, report: &Report) -> Result<Prepared> {
         summary: None,
     };
     Ok(Prepared { setup, solver, record, formats })
-}
-
-/// The scene of that path, or the shipped scene of that name.
-fn load_scene(name: &str) -> Result<(Scene, Source)> {
-    let path = Path::new(name);
-    match scene::shipped(name) {
-        Some(text) if !path.exists() => {
-            let source = Source { name: name.into(), sha256: record::sha256(text.as_bytes()) };
-            Ok((Scene::parse(text.as_bytes(), name)?, source))
-        }
-        _ => {
-            let scene = Scene::load(path).map_err(|error| {
-                let is_name = path.extension().is_none() && !path.exists();
-                let shipped: Vec<_> = scene::shipped_names().collect();
-                let error = anyhow::Error::new(error);
-                if is_name {
-                    error.context(format!("no shipped scene (there are {})", shipped.join(", ")))
-                } else {
-                    error
-                }
-            })?;
-            Ok((scene, record::read_source(path)?.1))
-        }
-    }
 }
 
 fn choose(args: &Args) -> Result<(Choice, Option<Source>)> {
@@ -320,14 +296,16 @@ impl Warned {
     fn tell(&mut self, step: &StepReport, report: &Report) {
         if step.outside > 0 && !std::mem::replace(&mut self.outside, true) {
             report.warning(format_args!(
-                "step {}: {} particles are outside the walls",
-                step.frame, step.outside
+                "step {}: {} outside the walls",
+                step.frame,
+                particles(step.outside)
             ));
         }
         if step.removed > 0 && !std::mem::replace(&mut self.removed, true) {
             report.warning(format_args!(
-                "step {}: {} particles fell out of the scene and were removed",
-                step.frame, step.removed
+                "step {}: {} removed, fallen out of the scene",
+                step.frame,
+                particles(step.removed)
             ));
         }
         if step.piled_up && !std::mem::replace(&mut self.piled_up, true) {
@@ -337,6 +315,11 @@ impl Warned {
             ));
         }
     }
+}
+
+/// "1 particle", "2 particles".
+fn particles(count: usize) -> String {
+    format!("{count} particle{}", if count == 1 { "" } else { "s" })
 }
 
 /// A bar on a terminal; drawn nowhere else.
@@ -354,10 +337,10 @@ fn progress_bar(steps: u64, first: u64, report: &Report) -> ProgressBar {
 
 fn describe(summary: &Summary, out: &Path) -> String {
     format!(
-        "{}: {} particles, {} steps, {:.1} ms a step\n\
+        "{}: {}, {} steps, {:.1} ms a step\n\
          highest speed {:.2} m/s; outside the walls: {} in the last frame, {} in the worst; removed: {}",
         out.display(),
-        summary.particles,
+        particles(summary.particles),
         summary.steps,
         summary.ms_per_step,
         summary.highest_speed,

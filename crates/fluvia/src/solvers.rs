@@ -12,6 +12,8 @@ use fluvia_sim::rollout::Solver;
 use fluvia_sim::scene::{Scene, Setup};
 use serde_json::json;
 
+use crate::record::decimal;
+
 /// A solver by its parameters.
 pub enum Choice {
     Pbf(Params),
@@ -65,25 +67,25 @@ impl Choice {
                     Substep::AtMost(seconds) => ("solver_dt_max", seconds),
                 };
                 json!({
-                    kind: seconds,
-                    "travel": params.travel,
+                    kind: decimal(seconds),
+                    "travel": decimal(params.travel),
                     "iterations": params.iterations,
-                    "damping": params.damping,
-                    "momentum": params.momentum,
-                    "relaxation": params.relaxation,
-                    "artificial_pressure": params.artificial_pressure,
-                    "viscosity": params.viscosity,
-                    "loose_density": params.loose_density,
-                    "compaction_rate": params.compaction_rate,
-                    "expansion_rate": params.expansion_rate,
-                    "wall_clearance": params.wall_clearance,
+                    "damping": decimal(params.damping),
+                    "momentum": decimal(params.momentum),
+                    "relaxation": decimal(params.relaxation),
+                    "artificial_pressure": decimal(params.artificial_pressure),
+                    "viscosity": decimal(params.viscosity),
+                    "loose_density": decimal(params.loose_density),
+                    "compaction_rate": decimal(params.compaction_rate),
+                    "expansion_rate": decimal(params.expansion_rate),
+                    "wall_clearance": decimal(params.wall_clearance),
                 })
             }
             Choice::Network(weights) => {
                 let config = &weights.config;
                 json!({
                     "integration": config.integration.name(),
-                    "filter_radius": config.filter_radius,
+                    "filter_radius": decimal(config.filter_radius),
                     "extra_inputs": config.extra_inputs,
                 })
             }
