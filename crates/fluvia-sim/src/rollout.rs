@@ -138,6 +138,11 @@ impl Rollout {
             let message = format!("state has a particle {id}, expected ids below {}", state.next_id);
             return Err(Error::Parameter(message));
         }
+        if let Some(body) = particles.body.iter().find(|&&body| body as usize >= setup.emitters.len()) {
+            let fluids = setup.emitters.len();
+            let message = format!("state has a particle of fluid {body}, expected one of {fluids} fluids");
+            return Err(Error::Parameter(message));
+        }
         Rollout::with_state(setup, state)
     }
 

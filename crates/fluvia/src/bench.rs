@@ -16,8 +16,8 @@ use fluvia_sim::particles::{Acceleration, Boundary, Particles};
 use fluvia_sim::rollout::Solver;
 use serde::Serialize;
 
+use crate::options::{thread_pool, threads};
 use crate::report::Report;
-use crate::simulate::thread_pool;
 
 /// Options of `fluvia bench`.
 #[derive(clap::Args)]
@@ -45,8 +45,8 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value = "1")]
     tile: NonZeroUsize,
     /// Threads; all cores if not given.
-    #[arg(long, value_name = "T")]
-    threads: Option<NonZeroUsize>,
+    #[arg(long, value_name = "T", value_parser = threads)]
+    threads: Option<usize>,
     /// Print the JSON line alone.
     #[arg(long)]
     json: bool,
@@ -105,6 +105,9 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
     })
 }
 
+/// A network needs several kilobytes a particle: more do not fit into any machine's memory.
+const MAX_PARTICLES: usize = 50_000_000;
+
 /// One repetition from the same state, milliseconds.
 fn time(stage: Stage, solver: &mut NetSolver, particles: &Particles, config: &Config) -> Result<f64> {
     let gravity = Acceleration::Uniform(config.gravity);
@@ -136,12 +139,19 @@ fn load(path: &Path, config: &Config, tiles: usize) -> Result<(Particles, Bounda
         if array.shape.len() != 2 || array.shape[1] != 3 {
             bail!("{}: `{name}` has the shape {:?}, expected (N, 3)", path.display(), array.shape);
         }
+        if let Some(i) = array.values.iter().position(|x| !(*x as f32).is_finite()) {
+            bail!("{}: `{name}`: row {} is not finite", path.display(), i / 3);
+        }
         Ok(array.values.chunks_exact(3).map(|p| [p[0] as f32, p[1] as f32, p[2] as f32]).collect())
     };
     let (position, velocity) = (points("pos")?, points("vel")?);
     let (wall, normal) = (points("box")?, points("box_normals")?);
     if position.len() != velocity.len() || wall.len() != normal.len() {
         bail!("{}: pos and vel, box and box_normals must have the same number of rows", path.display());
+    }
+    let total = tiles.saturating_mul(position.len().max(wall.len()));
+    if total > MAX_PARTICLES {
+        bail!("{}: {tiles} tiles are {total} particles, expected at most {MAX_PARTICLES}", path.display());
     }
     // Twice the filter radius apart, so that no tile sees another.
     let everything: Vec<[f32; 3]> = position.iter().chain(&wall).copied().collect();

@@ -58,6 +58,7 @@ fn file(path: &Path) -> Result<Value> {
             },
             Err(error) => TriangleMesh::load(path).map(|mesh| mesh_file(&mesh)).map_err(|_| error.into()),
         },
+        _ if !path.exists() => bail!("{}: No such file or directory", path.display()),
         _ if Format::from_path(path).is_some() => Ok(particle_file(&frames::read(path)?)),
         _ => bail!(
             "{}: not a kind of file that is known by its name, expected weights (.pt, .h5, .safetensors), a scene \

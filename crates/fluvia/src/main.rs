@@ -6,9 +6,11 @@
 mod bench;
 mod convert;
 mod inspect;
+mod options;
 mod record;
 mod render;
 mod report;
+mod resume;
 mod simulate;
 mod solvers;
 
@@ -62,8 +64,10 @@ fn main() -> ExitCode {
         Command::Convert(args) => convert::run(&args, &report),
         Command::Bench(args) => bench::run(&args, &report),
         Command::Completions { shell } => {
-            clap_complete::generate(shell, &mut Cli::command(), "fluvia", &mut std::io::stdout());
-            Ok(ExitCode::SUCCESS)
+            // Through memory: the generator panics where its reader closes the pipe.
+            let mut script = Vec::new();
+            clap_complete::generate(shell, &mut Cli::command(), "fluvia", &mut script);
+            report.result(String::from_utf8_lossy(&script).trim_end()).map(|()| ExitCode::SUCCESS)
         }
     };
     result.unwrap_or_else(|error| {

@@ -108,7 +108,8 @@ pub fn read_source(path: &Path) -> Result<(Vec<u8>, Source)> {
 pub fn load_scene(name: &str) -> Result<(Scene, Source)> {
     let path = Path::new(name);
     match scene::shipped(name) {
-        Some(text) if !path.exists() => {
+        // A directory of that name is likely a run of the scene.
+        Some(text) if !path.is_file() => {
             let source = Source { name: name.into(), sha256: sha256(text.as_bytes()) };
             Ok((Scene::parse(text.as_bytes(), name)?, source))
         }

@@ -11,6 +11,7 @@ use fluvia_render::{
 use fluvia_sim::frames::{self, ParticleData, run};
 use fluvia_sim::scene::{DEFAULT_DT, DEFAULT_PARTICLE_RADIUS};
 
+use crate::options::positive;
 use crate::record::Record;
 use crate::report::Report;
 
@@ -48,7 +49,7 @@ pub struct Args {
     #[arg(long, value_enum, default_value_t = Color::Speed)]
     color: Color,
     /// The speed of the yellow end of the scale, metres per second.
-    #[arg(long, value_name = "SPEED", default_value_t = 4.0)]
+    #[arg(long, value_name = "SPEED", default_value_t = 4.0, value_parser = positive)]
     max_speed: f32,
     /// The turn of the camera about the vertical, degrees.
     #[arg(long, value_name = "DEGREES", default_value_t = 24.0, allow_negative_numbers = true)]
@@ -227,7 +228,7 @@ struct Run {
     dt: f64,
     /// Particle radius, metres.
     radius: f32,
-    /// Against gravity.
+    /// Against gravity, a unit vector.
     up: [f32; 3],
 }
 
@@ -251,7 +252,8 @@ impl Run {
                 (record.dt, record.particle_radius, record.gravity)
             });
         // Without gravity y is up, as everywhere.
-        let up = if gravity == [0.0; 3] { [0.0, 1.0, 0.0] } else { gravity.map(|g| -g) };
+        let length = gravity.iter().map(|g| g * g).sum::<f32>().sqrt();
+        let up = if length > 0.0 { gravity.map(|g| -g / length) } else { [0.0, 1.0, 0.0] };
         let walls = run::read_walls(&path)?.unwrap_or_default();
         let mut opened =
             Run { label, path, frames: numbers, walls, outside: None, dt: f64::from(dt), radius, up };

@@ -22,8 +22,7 @@ impl Report {
 
     /// The one line of an error, with its causes.
     pub fn error(&self, error: &anyhow::Error) {
-        let line = format!("{error:#}").replace('\n', " ");
-        complain(&format!("error: {line}"));
+        complain(&format!("error: {}", one_line(error)));
     }
 
     /// A line about something that the user should know.
@@ -61,7 +60,34 @@ impl Report {
     }
 }
 
+/// An error and its causes in one line; errors of the libraries end with their cause already.
+fn one_line(error: &anyhow::Error) -> String {
+    let mut line = error.to_string();
+    for cause in error.chain().skip(1).map(ToString::to_string) {
+        if !line.ends_with(&cause) {
+            line.push_str(": ");
+            line.push_str(&cause);
+        }
+    }
+    line.replace(['\n', '\r'], " ")
+}
+
 /// Writes a line to standard error; where that is closed there is nobody to tell.
 fn complain(line: &str) {
     let _ = writeln!(std::io::stderr(), "{line}");
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_cause_is_said_once() {
+        let missing = || std::io::Error::from(std::io::ErrorKind::NotFound);
+        let library = fluvia_sim::Error::io("a.json")(missing());
+        let line = one_line(&anyhow::Error::new(library).context("no scene"));
+        assert_eq!(line, "no scene: a.json: entity not found");
+        let line = one_line(&anyhow::Error::new(missing()).context("two\nlines"));
+        assert_eq!(line, "two lines: entity not found");
+    }
 }

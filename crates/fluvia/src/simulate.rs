@@ -6,17 +6,20 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use cconv::Kernel;
 use fluvia_net::weights;
-use fluvia_sim::frames::{self, Format, Mode, RunDirectory};
+use fluvia_sim::frames::{Format, Mode, RunDirectory};
+use fluvia_sim::particles::{Acceleration, Particles};
 use fluvia_sim::pbf::{Params, Substep};
-use fluvia_sim::rollout::{self, Rollout, Solver, StepReport};
+use fluvia_sim::rollout::{Rollout, Solver, StepReport};
 use fluvia_sim::scene::Setup;
 use indicatif::{ProgressBar, ProgressStyle};
 
+use crate::options::{positive, thread_pool, threads};
 use crate::record::{self, Record, Source, Summary};
 use crate::report::Report;
+use crate::resume;
 use crate::solvers::Choice;
 
 /// The exit code of a run that Ctrl-C stopped, as shells give it to a process ended by that signal.
@@ -44,23 +47,23 @@ pub struct Args {
     /// Frame intervals to simulate.
     #[arg(long, value_name = "N", default_value_t = 250)]
     steps: u64,
-    /// The directory to write to.
-    #[arg(long, value_name = "DIR", default_value = "out")]
-    out: PathBuf,
+    /// The directory to write to; out/NAME for a scene NAME or NAME.json if not given.
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
     /// Formats of the frames: npz, ply, bgeo, vtu, vtk.
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "npz")]
     format: Vec<Format>,
     /// Threads; all cores if not given. Results do not depend on it.
-    #[arg(long, value_name = "T")]
-    threads: Option<std::num::NonZeroUsize>,
+    #[arg(long, value_name = "T", value_parser = threads)]
+    threads: Option<usize>,
     /// The seed of the wall particles.
     #[arg(long, value_name = "S", default_value_t = 0)]
     seed: u64,
     /// The solver's own step, seconds (pbf).
-    #[arg(long, value_name = "SECONDS", conflicts_with_all = ["weights", "solver_dt_max"])]
+    #[arg(long, value_name = "SECONDS", value_parser = positive, conflicts_with_all = ["weights", "solver_dt_max"])]
     solver_dt: Option<f32>,
     /// The solver's longest step, seconds (pbf; 0.004 if not given).
-    #[arg(long, value_name = "SECONDS", conflicts_with = "weights")]
+    #[arg(long, value_name = "SECONDS", value_parser = positive, conflicts_with = "weights")]
     solver_dt_max: Option<f32>,
     /// Go on with the run in the directory.
     #[arg(long, conflicts_with = "overwrite")]
@@ -77,6 +80,15 @@ pub struct Args {
 enum SolverName {
     /// Position-based fluids (Macklin & Müller 2013).
     Pbf,
+}
+
+impl Args {
+    fn out(&self) -> PathBuf {
+        self.out.clone().unwrap_or_else(|| {
+            let name = Path::new(&self.scene).file_stem().unwrap_or_default();
+            Path::new("out").join(name)
+        })
+    }
 }
 
 /// Everything that a run needs, made and checked before anything is written.
@@ -98,24 +110,20 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
     })
 }
 
-/// A pool of the given number of threads, by default one per core.
-pub fn thread_pool(threads: Option<std::num::NonZeroUsize>) -> Result<rayon::ThreadPool> {
-    let threads = threads.map_or(0, std::num::NonZeroUsize::get);
-    rayon::ThreadPoolBuilder::new().num_threads(threads).build().context("cannot start the threads")
-}
-
 fn prepare(args: &Args, report: &Report) -> Result<Prepared> {
     let (mut scene, scene_source) = record::load_scene(&args.scene)?;
     let (choice, weights_source) = choose(args)?;
     choice.adapt(&mut scene)?;
     let setup = scene.sample(args.seed)?;
     let kernel = Kernel::detect();
-    let solver = choice.make(&setup, kernel)?;
+    let mut solver = choice.make(&setup, kernel)?;
+    // A step of no particles: whether the solver takes this time step shows before anything is written.
+    solver.step(&mut Particles::default(), Acceleration::Uniform(setup.gravity), setup.dt)?;
     let mut formats = args.format.clone();
     formats.sort_by_key(|format| format.extension());
     formats.dedup();
     report.detail(format_args!(
-        "{} wall particles, {} fluids, solver {}, kernel {}",
+        "wall particles: {}, fluids: {}, solver: {}, kernel: {}",
         setup.boundary.position.len(),
         setup.emitters.len(),
         solver.name(),
@@ -159,25 +167,23 @@ fn choose(args: &Args) -> Result<(Choice, Option<Source>)> {
 
 fn simulate(args: &Args, report: &Report, prepared: Prepared) -> Result<ExitCode> {
     let Prepared { setup, mut solver, mut record, formats } = prepared;
-    let has_state = args.out.join(frames::run::STATE).exists();
+    let out = args.out();
     let mode = match (args.resume, args.overwrite) {
-        (true, _) if has_state => Mode::Resume,
-        // Killed before its first state was on disk: what is there belongs to a run that has to begin again.
-        (true, _) => Mode::Overwrite,
+        (true, _) => resume::mode(&out, &record)?,
         (false, true) => Mode::Overwrite,
         (false, false) => Mode::New,
     };
     // Frame 0 exists only if the particles can be emitted: before the directory is touched.
     let fresh = if mode == Mode::Resume { None } else { Some(Rollout::new(&setup)?) };
-    let mut directory = RunDirectory::open(&args.out, mode, &formats, setup.dt)?;
+    let mut directory = RunDirectory::open(&out, mode, &formats, setup.dt)?;
     let mut rollout = match fresh {
         Some(rollout) => rollout,
-        None => resume(&directory, &setup, &record, args, report)?,
+        None => resume::rollout(&directory, &setup, &record, report)?,
     };
     if mode != Mode::Resume {
         directory.write_record(&record)?;
         directory.write_walls(&setup.boundary)?;
-        write(&mut directory, rollout.state())?;
+        resume::write(&mut directory, rollout.state())?;
     }
     let interrupted = Arc::new(AtomicBool::new(false));
     let flag = Arc::clone(&interrupted);
@@ -190,7 +196,7 @@ fn simulate(args: &Args, report: &Report, prepared: Prepared) -> Result<ExitCode
         let start = Instant::now();
         let step = rollout.advance(solver.as_mut())?;
         seconds += start.elapsed().as_secs_f64();
-        write(&mut directory, rollout.state())?;
+        resume::write(&mut directory, rollout.state())?;
         bar.suspend(|| warned.tell(&step, report));
         let milliseconds = 1e3 * seconds / (step.frame - first_step) as f64;
         bar.set_message(format!("{} particles, {milliseconds:.1} ms a step", step.particles));
@@ -205,7 +211,7 @@ fn simulate(args: &Args, report: &Report, prepared: Prepared) -> Result<ExitCode
     if args.json {
         report.result(serde_json::to_string(&summary)?)?;
     } else if !report.is_quiet() {
-        report.result(describe(&summary, &args.out))?;
+        report.result(describe(&summary, &out))?;
     }
     if rollout.state().step < args.steps {
         report.note(format_args!(
@@ -215,73 +221,6 @@ fn simulate(args: &Args, report: &Report, prepared: Prepared) -> Result<ExitCode
         return Ok(ExitCode::from(INTERRUPTED));
     }
     Ok(ExitCode::SUCCESS)
-}
-
-/// The rollout in the directory, if it is one of the same scene, solver and files.
-fn resume(
-    directory: &RunDirectory,
-    setup: &Setup,
-    record: &Record,
-    args: &Args,
-    report: &Report,
-) -> Result<Rollout> {
-    let path = directory.path().join(frames::run::RECORD);
-    let old: Record = frames::read_json(&path)?;
-    if let Some((name, old, new)) = record.difference(&old) {
-        bail!("{}: the run was made with another {name}: {old}, now {new}", path.display());
-    }
-    if old.kernel != record.kernel {
-        report.warning(format_args!(
-            "the run was computed by the kernel {}, now by {}: its continuation is right, but not the same bits",
-            old.kernel, record.kernel
-        ));
-    }
-    let state = directory.read_state()?;
-    report.note(format_args!("resuming after step {} of {}", state.step, args.steps));
-    Ok(Rollout::resume(setup, from_disk(state))?)
-}
-
-/// Writes the frame of a state, then the state: a run that is killed between the two writes the frame again.
-fn write(directory: &mut RunDirectory, state: &rollout::State) -> Result<()> {
-    directory.write_frame(state.step, &state.particles)?;
-    directory.write_state(&to_disk(state))?;
-    Ok(())
-}
-
-const OUTSIDE: &str = "outside";
-const WORST_OUTSIDE: &str = "worst_outside";
-const HIGHEST_SPEED: &str = "highest_speed";
-
-fn to_disk(state: &rollout::State) -> frames::State {
-    let rollout::Summary { outside, worst_outside, removed, highest_speed } = state.summary;
-    frames::State {
-        step: state.step,
-        particles: state.particles.clone(),
-        next_id: state.next_id,
-        removed,
-        counters: [
-            (OUTSIDE.to_owned(), outside as f64),
-            (WORST_OUTSIDE.to_owned(), worst_outside as f64),
-            (HIGHEST_SPEED.to_owned(), f64::from(highest_speed)),
-        ]
-        .into(),
-        arrays: Default::default(),
-    }
-}
-
-fn from_disk(state: frames::State) -> rollout::State {
-    let counter = |name: &str| state.counters.get(name).copied().unwrap_or_default();
-    rollout::State {
-        step: state.step,
-        next_id: state.next_id,
-        summary: rollout::Summary {
-            outside: counter(OUTSIDE) as usize,
-            worst_outside: counter(WORST_OUTSIDE) as usize,
-            removed: state.removed,
-            highest_speed: counter(HIGHEST_SPEED) as f32,
-        },
-        particles: state.particles,
-    }
 }
 
 /// Which warnings have been given: each comes once a run.
@@ -298,14 +237,14 @@ impl Warned {
             report.warning(format_args!(
                 "step {}: {} outside the walls",
                 step.frame,
-                particles(step.outside)
+                counted(step.outside, "particle")
             ));
         }
         if step.removed > 0 && !std::mem::replace(&mut self.removed, true) {
             report.warning(format_args!(
                 "step {}: {} removed, fallen out of the scene",
                 step.frame,
-                particles(step.removed)
+                counted(step.removed, "particle")
             ));
         }
         if step.piled_up && !std::mem::replace(&mut self.piled_up, true) {
@@ -318,8 +257,8 @@ impl Warned {
 }
 
 /// "1 particle", "2 particles".
-fn particles(count: usize) -> String {
-    format!("{count} particle{}", if count == 1 { "" } else { "s" })
+fn counted(count: usize, thing: &str) -> String {
+    format!("{count} {thing}{}", if count == 1 { "" } else { "s" })
 }
 
 /// A bar on a terminal; drawn nowhere else.
@@ -337,11 +276,11 @@ fn progress_bar(steps: u64, first: u64, report: &Report) -> ProgressBar {
 
 fn describe(summary: &Summary, out: &Path) -> String {
     format!(
-        "{}: {}, {} steps, {:.1} ms a step\n\
+        "{}: {}, {}, {:.1} ms a step\n\
          highest speed {:.2} m/s; outside the walls: {} in the last frame, {} in the worst; removed: {}",
         out.display(),
-        particles(summary.particles),
-        summary.steps,
+        counted(summary.particles, "particle"),
+        counted(summary.steps as usize, "step"),
         summary.ms_per_step,
         summary.highest_speed,
         summary.outside,

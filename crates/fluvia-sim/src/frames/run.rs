@@ -345,10 +345,13 @@ fn own_files<'a>(names: &'a BTreeSet<String>, formats: &[Format]) -> Vec<&'a Str
 
 /// Whether `name` is that of a file of a run that was being written when the process was killed.
 fn is_temporary(name: &str) -> bool {
+    if name == WRITE_CHECK {
+        return true;
+    }
     let Some(target) = name.strip_prefix('.').and_then(|rest| rest.rsplitn(3, '.').nth(2)) else {
         return false;
     };
-    let is_target = [RECORD, STATE, INDEX].contains(&target)
+    let is_target = [RECORD, STATE, INDEX, WRITE_CHECK].contains(&target)
         || frame_of(target).is_some()
         || Format::ALL.into_iter().any(|format| target == walls_name(format));
     is_target && is_temporary_of(name, target)

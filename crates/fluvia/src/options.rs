@@ -1,0 +1,37 @@
+//! Values of options that several subcommands take.
+
+use anyhow::{Context, Result};
+
+/// A pool of the given number of threads, by default one per core.
+pub fn thread_pool(threads: Option<usize>) -> Result<rayon::ThreadPool> {
+    let threads = threads.unwrap_or_default();
+    rayon::ThreadPoolBuilder::new().num_threads(threads).build().context("cannot start the threads")
+}
+
+/// More threads than any machine has cores only wait for each other.
+const MAX_THREADS: usize = 1024;
+
+/// Parses a number of threads.
+pub fn threads(text: &str) -> std::result::Result<usize, String> {
+    let threads = text.parse().ok().filter(|n| (1..=MAX_THREADS).contains(n));
+    threads.ok_or_else(|| format!("expected a number from 1 to {MAX_THREADS}"))
+}
+
+/// Parses a positive number.
+pub fn positive(text: &str) -> std::result::Result<f32, String> {
+    let number = text.parse().ok().filter(|x: &f32| x.is_finite() && *x > 0.0);
+    number.ok_or_else(|| "expected a positive number".into())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_out_of_range_are_refused() {
+        assert_eq!(threads("2"), Ok(2));
+        assert!(["0", "-1", "1025", "two", ""].iter().all(|text| threads(text).is_err()));
+        assert_eq!(positive("0.25"), Ok(0.25));
+        assert!(["0", "-1", "nan", "inf", "fast", ""].iter().all(|text| positive(text).is_err()));
+    }
+}
