@@ -68,7 +68,8 @@ struct Cells {
 
 impl Cells {
     fn coordinate(&self, x: f64) -> i64 {
-        (x * self.inverse_size).floor().clamp(-CELL_LIMIT, CELL_LIMIT) as i64
+        // Shifted to where rounding towards zero rounds down; `floor` is a function call on older processors.
+        ((x * self.inverse_size).clamp(-CELL_LIMIT, CELL_LIMIT) + CELL_LIMIT) as i64
     }
 
     fn key(&self, [x, y, z]: [i64; 3]) -> u64 {

@@ -1,1 +1,18 @@
-//! fluvia-net
+//! The learned solver: the network of Fig. 2, its integration (Eq. 10-14) and its weights.
+//!
+//! [`solver::NetSolver`] moves particles as any solver of `fluvia-sim` does. [`mod@reference`] is the same step in
+//! float64, the specification that it is tested against.
+
+pub mod config;
+pub mod integrate;
+pub mod net;
+pub mod reference;
+pub mod solver;
+pub mod weights;
+
+mod error;
+
+pub use error::Error;
+
+/// The result of everything in this crate that can fail.
+pub type Result<T> = std::result::Result<T, Error>;

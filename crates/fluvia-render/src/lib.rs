@@ -1,1 +1,51 @@
-//! fluvia-render
+//! Pictures of particle fluids without a display or a GPU: pixels from points.
+//!
+//! ```text
+//! positions, values  ->  Subject -> Camera        one camera and one colour scale for a whole film or sheet
+//!                    ->  draw_frame -> Image      shaded, depth-sorted spheres and faint wall points
+//!                    ->  sheet -> Image           labelled tiles, title, legend
+//! Image              ->  encode_png, GifEncoder   bytes
+//! ```
+//!
+//! Inputs are slices, outputs are images and encoded bytes; the crate reads and writes no file and keeps no
+//! state. Lengths are metres, times seconds, angles degrees; image sizes are pixels. The same input gives the
+//! same bits at any thread count.
+//!
+//! ```
+//! use fluvia_render::{Camera, Frame, Style, Subject, Values, View, Walls, draw_frame, encode_png, speeds};
+//!
+//! let position = [[0.0, 0.1, 0.0], [0.05, 0.1, 0.0]];
+//! let speed = speeds(&[[0.0, -1.0, 0.0], [0.0, -2.0, 0.0]]);
+//! let style = Style::default();
+//! let mut subject = Subject::new(Walls::default(), style.radius);
+//! subject.add(&position);
+//! let camera = Camera::fit(&subject, &View::default())?;
+//! let frame = Frame { position: &position, values: Values::Scalar(&speed), outside: &[] };
+//! let png: Vec<u8> = encode_png(&draw_frame(&frame, Walls::default(), &camera, &style)?)?;
+//! # Ok::<(), fluvia_render::Error>(())
+//! ```
+
+mod camera;
+mod color;
+mod draw;
+mod error;
+mod gif;
+mod image;
+mod outside;
+mod palette;
+mod sheet;
+mod splat;
+mod text;
+
+pub use camera::{Camera, Subject, View};
+pub use color::{BODY_COLORS, Curve, Rgb, Scale, heights, speeds};
+pub use draw::{Frame, Style, Values, Walls, draw_frame};
+pub use error::Error;
+pub use gif::GifEncoder;
+pub use image::{Image, encode_png};
+pub use outside::OutsideTest;
+pub use palette::{Palette, PaletteBuilder};
+pub use sheet::{Row, Sheet, Tile, sheet};
+
+/// The result of everything in this crate that can fail.
+pub type Result<T> = std::result::Result<T, Error>;

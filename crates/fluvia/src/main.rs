@@ -1,2 +1,83 @@
-//! The `fluvia` binary.
-fn main() {}
+//! The command-line program `fluvia`: one file a subcommand.
+//!
+//! Exit codes: 0 done, 1 failed (one line `error: …` on standard error says why), 2 wrong usage, 130 stopped by
+//! Ctrl-C with everything up to there on disk.
+
+mod bench;
+mod convert;
+mod inspect;
+mod record;
+mod render;
+mod report;
+mod simulate;
+mod solvers;
+
+use std::process::ExitCode;
+
+use clap::{CommandFactory, Parser, Subcommand};
+
+/// Simulates fluids as particles: with the learned network of "Lagrangian Fluid Simulation with Continuous
+/// Convolutions" (Ummenhofer et al., ICLR 2020), or with position-based fluids.
+///
+/// Units are metres, seconds and kilograms; y is up.
+#[derive(Parser)]
+#[command(name = "fluvia", version, max_term_width = 100)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+    /// Print nothing but errors and what was asked for.
+    #[arg(short, long, global = true, conflicts_with = "verbose")]
+    quiet: bool,
+    /// Print more about what is done.
+    #[arg(short, long, global = true)]
+    verbose: bool,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Run a scene and write its frames.
+    Simulate(simulate::Args),
+    /// Draw frames: a picture, a contact sheet or a film.
+    Render(render::Args),
+    /// Say what is in a file or in the directory of a run.
+    Inspect(inspect::Args),
+    /// Convert weights (.pt, .h5) to safetensors.
+    Convert(convert::Args),
+    /// Time the network on a given state.
+    Bench(bench::Args),
+    /// Print the completions of a shell.
+    Completions {
+        /// The shell.
+        shell: clap_complete::Shell,
+    },
+}
+
+fn main() -> ExitCode {
+    let cli = Cli::parse();
+    let report = report::Report::new(cli.quiet, cli.verbose);
+    let result = match cli.command {
+        Command::Simulate(args) => simulate::run(&args, &report),
+        Command::Render(args) => render::run(&args, &report),
+        Command::Inspect(args) => inspect::run(&args, &report),
+        Command::Convert(args) => convert::run(&args, &report),
+        Command::Bench(args) => bench::run(&args, &report),
+        Command::Completions { shell } => {
+            clap_complete::generate(shell, &mut Cli::command(), "fluvia", &mut std::io::stdout());
+            Ok(ExitCode::SUCCESS)
+        }
+    };
+    result.unwrap_or_else(|error| {
+        report.error(&error);
+        ExitCode::FAILURE
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        Cli::command().debug_assert();
+    }
+}

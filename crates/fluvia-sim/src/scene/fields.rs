@@ -172,7 +172,6 @@ mod tests {
             ("particleRadius", Some("particle_radius")),
             ("radius", Some("particle_radius")),
             ("scaling", Some("scale")),
-            ("transform", Some("translation")),
             ("Configuration", None),
             ("x", None),
             ("", None),

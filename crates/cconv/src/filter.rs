@@ -1,0 +1,218 @@
+//! The filter g: values on a regular grid of cells, looked up between them, and the layout in which the
+//! kernels read it.
+
+use crate::Options;
+use crate::aligned::AlignedVec;
+use crate::cpu::{InstructionSet, PANEL, Slabs};
+
+/// How the filter is looked up at a point between the centres of its cells.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Interpolation {
+    /// Trilinear; beyond the outermost centres the nearest values go on.
+    #[default]
+    Linear,
+    /// Trilinear; beyond the outermost centres values fall to zero within one cell.
+    LinearBorder,
+    /// The value of the nearest cell.
+    Nearest,
+}
+
+/// The cell before a coordinate along one axis, as a whole float, and the weights of that cell and of the
+/// next one (of the same one, with weight 0, on an axis of one cell).
+#[derive(Clone, Copy)]
+pub(crate) struct Along<V> {
+    pub cell: V,
+    pub weights: [V; 2],
+}
+
+/// Where coordinates of the cube [−1, 1] fall among the centres of `size` cells, in cells from the first
+/// centre.
+#[inline(always)]
+pub(crate) fn grid_coordinate<I: InstructionSet>(
+    p: I::Vector,
+    size: f32,
+    align_corners: bool,
+    offset: f32,
+) -> I::Vector {
+    let span = if align_corners { size - 1.0 } else { size };
+    I::multiply_add(p, I::splat(0.5 * span), I::splat(0.5 * (size - 1.0) + offset))
+}
+
+impl Interpolation {
+    /// The cells and weights for the grid coordinates `x` on an axis of `size` cells.
+    #[inline(always)]
+    pub(crate) fn along<I: InstructionSet>(self, x: I::Vector, size: f32) -> Along<I::Vector> {
+        let (zero, one) = (I::splat(0.0), I::splat(1.0));
+        let (last, last_pair) = (I::splat(size - 1.0), I::splat((size - 2.0).max(0.0)));
+        match self {
+            Interpolation::Nearest => {
+                let x = I::add(I::min(I::max(x, zero), last), I::splat(0.5));
+                Along { cell: I::min(I::truncate(x), last), weights: [one, zero] }
+            }
+            Interpolation::Linear => {
+                // At the centre of the last cell, the pair before it with the whole weight on its second.
+                let x = I::min(I::max(x, zero), last);
+                let cell = I::min(I::truncate(x), last_pair);
+                let fraction = I::sub(x, cell);
+                Along { cell, weights: [I::sub(one, fraction), fraction] }
+            }
+            Interpolation::LinearBorder => {
+                // The share of a cell falls with the distance of its centre; outside there is none.
+                let cell = I::min(I::max(I::truncate(x), zero), last_pair);
+                let share = |cell| I::max(I::sub(one, I::abs(I::sub(x, cell))), zero);
+                let next = I::add(cell, one);
+                let inside = I::less_equal(next, last);
+                Along { cell, weights: [share(cell), I::select(inside, share(next), zero)] }
+            }
+        }
+    }
+
+    /// How many of a point's up to eight cells can have a weight.
+    pub(crate) fn corners(self) -> usize {
+        match self {
+            Interpolation::Nearest => 1,
+            Interpolation::Linear | Interpolation::LinearBorder => 8,
+        }
+    }
+}
+
+/// The weights of one layer: a filter, and optionally a bias and a pointwise term
+/// (the paper's "4 × 4 × 4 + 1": one more cell that sees the features of the output point itself).
+///
+/// Holds the weights in the order in which the kernels read them.
+#[derive(Clone, Debug)]
+pub struct Filter {
+    pub(crate) cells: usize,
+    pub(crate) in_channels: usize,
+    pub(crate) out_channels: usize,
+    pub(crate) bias: Vec<f32>,
+    pub(crate) slabs: Slabs,
+    pub(crate) layout: Layout,
+    /// The packed matrix, see [`Layout`].
+    pub(crate) packed: AlignedVec,
+    /// The filter as given, [cells, in, out], then the pointwise weights if there are any.
+    plain: Vec<f32>,
+}
+
+/// Which of the two factors of the operator comes first, and the order of the packed weights.
+///
+/// `Patches`: features are interpolated into a patch matrix [points, cells · in], which is multiplied by
+/// the filter. Packed as [slab of input channels][panel of output channels][cell, channel][column].
+///
+/// `Products`: the features of every input point are multiplied by all cells, and the products
+/// [points, cells · out] are interpolated. Cheaper if there are few output channels. Packed as
+/// [panel of cells · out][in][column].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Layout {
+    Patches,
+    Products { group: usize },
+}
+
+/// Up to this many output channels, `Products` pays if there are more input channels than that.
+const FEW_CHANNELS: usize = 8;
+
+impl Filter {
+    /// A filter of shape [depth, height, width, `in_channels`, `out_channels`].
+    ///
+    /// # Panics
+    /// If the number of weights is another, or a dimension is zero.
+    pub fn new(options: &Options, in_channels: usize, out_channels: usize, weights: &[f32]) -> Filter {
+        Self::build(options.cells(), in_channels, out_channels, weights.to_vec(), Vec::new())
+    }
+
+    /// Adds a bias, one value per output channel.
+    ///
+    /// # Panics
+    /// If the number of values is another.
+    pub fn with_bias(mut self, bias: &[f32]) -> Filter {
+        assert_eq!(bias.len(), self.out_channels, "one bias per output channel");
+        self.bias = bias.to_vec();
+        self
+    }
+
+    /// Adds a pointwise term: weights [in, out] for the features of the output point itself. The input and
+    /// output points must then be the same.
+    ///
+    /// # Panics
+    /// If the number of weights is another.
+    pub fn with_pointwise(self, weights: &[f32]) -> Filter {
+        assert_eq!(weights.len(), self.in_channels * self.out_channels, "pointwise weights are [in, out]");
+        let mut plain = self.plain;
+        plain.truncate(self.cells * self.in_channels * self.out_channels);
+        plain.extend_from_slice(weights);
+        Self::build(self.cells, self.in_channels, self.out_channels, plain, self.bias)
+    }
+
+    /// The number of input channels.
+    pub fn in_channels(&self) -> usize {
+        self.in_channels
+    }
+
+    /// The number of output channels.
+    pub fn out_channels(&self) -> usize {
+        self.out_channels
+    }
+
+    /// The filter's cells, and the pointwise term as one more.
+    pub(crate) fn rows(&self) -> usize {
+        self.plain.len() / (self.in_channels * self.out_channels)
+    }
+
+    fn build(cells: usize, inputs: usize, outputs: usize, plain: Vec<f32>, bias: Vec<f32>) -> Filter {
+        assert!(cells > 0 && inputs > 0 && outputs > 0, "a filter needs cells and channels");
+        let one = cells * inputs * outputs;
+        assert!(
+            plain.len() == one || plain.len() == one + inputs * outputs,
+            "{} weights, expected {cells} cells x {inputs} x {outputs}",
+            plain.len()
+        );
+        let rows = plain.len() / (inputs * outputs);
+        let few = outputs <= FEW_CHANNELS && inputs > FEW_CHANNELS;
+        let layout =
+            if few { Layout::Products { group: outputs.next_multiple_of(4) } } else { Layout::Patches };
+        let slabs = Slabs::new(inputs);
+        let packed = match layout {
+            Layout::Patches => pack_patches(&plain, rows, inputs, outputs, &slabs),
+            Layout::Products { group } => pack_products(&plain, rows, inputs, outputs, group),
+        };
+        let packed = AlignedVec::from_slice(&packed);
+        Filter { cells, in_channels: inputs, out_channels: outputs, bias, slabs, layout, packed, plain }
+    }
+}
+
+/// Splits `columns` into panels of at most [`PANEL`]: first column and width, a multiple of 16.
+pub(crate) fn panels(columns: usize) -> impl Iterator<Item = (usize, usize)> {
+    let padded = columns.next_multiple_of(16);
+    (0..padded).step_by(PANEL).map(move |first| (first, PANEL.min(padded - first)))
+}
+
+fn pack_patches(plain: &[f32], rows: usize, inputs: usize, outputs: usize, slabs: &Slabs) -> Vec<f32> {
+    let mut packed = Vec::with_capacity(rows * slabs.padded() * outputs.next_multiple_of(16));
+    for slab in slabs.iter() {
+        for (first, width) in panels(outputs) {
+            for row in 0..rows {
+                for channel in slab.clone() {
+                    packed.extend((first..first + width).map(|column| {
+                        let inside = channel < inputs && column < outputs;
+                        if inside { plain[(row * inputs + channel) * outputs + column] } else { 0.0 }
+                    }));
+                }
+            }
+        }
+    }
+    packed
+}
+
+fn pack_products(plain: &[f32], rows: usize, inputs: usize, outputs: usize, group: usize) -> Vec<f32> {
+    let mut packed = Vec::with_capacity(inputs * (rows * group).next_multiple_of(16));
+    for (first, width) in panels(rows * group) {
+        for channel in 0..inputs {
+            packed.extend((first..first + width).map(|column| {
+                let (row, output) = (column / group, column % group);
+                let inside = row < rows && output < outputs;
+                if inside { plain[(row * inputs + channel) * outputs + output] } else { 0.0 }
+            }));
+        }
+    }
+    packed
+}

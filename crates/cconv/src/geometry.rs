@@ -1,0 +1,330 @@
+//! What all layers on the same points share: for every pair of an output point and its neighbour, the filter
+//! cells that it falls between and its weight in each.
+//!
+//! The weight of pair (x, x_i) in cell c is a(x_i, x) · m_i / ψ(x) times the share of c in the
+//! interpolation at Λ(x_i − x); a layer is then a sum over pairs, cells and channels (Eq. 7).
+//!
+//! The pairs are stored in blocks of [`LANES`], cell by cell, so that vector instructions compute a block at
+//! once.
+
+use fluvia_neighbors::{Neighbors, Point};
+use rayon::prelude::*;
+
+use crate::cpu::{InstructionSet, Kernel, Operation};
+use crate::filter::grid_coordinate;
+use crate::{Interpolation, Mapping, Options, Window};
+
+/// Pairs in a block: the float32 lanes of the widest vector.
+pub(crate) const LANES: usize = 16;
+
+/// Blocks that one task computes.
+const TASK_BLOCKS: usize = 64;
+
+/// The diameter of the filter's support: 2 R, in the unit of the points.
+#[derive(Clone, Copy, Debug)]
+pub enum Extent<'a> {
+    /// The same for all output points.
+    Uniform(f32),
+    /// The same for all output points, one along each axis.
+    PerAxis([f32; 3]),
+    /// One per output point.
+    PerPoint(&'a [f32]),
+    /// One per output point along each axis.
+    PerPointAndAxis(&'a [[f32; 3]]),
+}
+
+impl Extent<'_> {
+    #[inline(always)]
+    pub(crate) fn of(&self, row: usize) -> [f32; 3] {
+        match self {
+            Extent::Uniform(extent) => [*extent; 3],
+            Extent::PerAxis(extent) => *extent,
+            Extent::PerPoint(extents) => [extents[row]; 3],
+            Extent::PerPointAndAxis(extents) => extents[row],
+        }
+    }
+}
+
+/// The points of a convolution and which of them are neighbours.
+#[derive(Clone, Copy, Debug)]
+pub struct PointSets<'a> {
+    /// Input points x_i.
+    pub inputs: &'a [Point],
+    /// Output points x.
+    pub outputs: &'a [Point],
+    /// The input points near each output point; their indices are those of `inputs`.
+    pub neighbors: &'a Neighbors,
+    /// The filter's diameter.
+    pub extent: Extent<'a>,
+    /// The importance m_i of each input point; 1 if absent.
+    pub importance: Option<&'a [f32]>,
+    /// A window value for each pair, in the order of the neighbours, in place of [`Options::window`].
+    pub window_values: Option<&'a [f32]>,
+}
+
+impl<'a> PointSets<'a> {
+    /// Points without importance, with the window of the options.
+    pub fn new(
+        inputs: &'a [Point],
+        outputs: &'a [Point],
+        neighbors: &'a Neighbors,
+        extent: Extent<'a>,
+    ) -> Self {
+        PointSets { inputs, outputs, neighbors, extent, importance: None, window_values: None }
+    }
+
+    /// # Panics
+    /// If a length or a neighbour's index does not fit the points.
+    pub(crate) fn validate(&self) {
+        let (inputs, outputs) = (self.inputs.len(), self.outputs.len());
+        let splits = &self.neighbors.row_splits;
+        assert_eq!(splits.len(), outputs + 1, "row splits for {outputs} output points");
+        assert!(splits.windows(2).all(|w| w[0] <= w[1]) && splits[0] == 0, "row splits must ascend from 0");
+        let pairs = self.neighbors.indices.len();
+        assert_eq!(splits[outputs], pairs, "the last row split is the number of pairs");
+        let largest = self.neighbors.indices.iter().max();
+        assert!(
+            largest.is_none_or(|&i| (i as usize) < inputs),
+            "neighbour index {largest:?} of {inputs} input points"
+        );
+        match self.extent {
+            Extent::PerPoint(extents) => assert_eq!(extents.len(), outputs, "one extent per output point"),
+            Extent::PerPointAndAxis(extents) => {
+                assert_eq!(extents.len(), outputs, "one extent per output point");
+            }
+            Extent::Uniform(_) | Extent::PerAxis(_) => {}
+        }
+        if let Some(importance) = self.importance {
+            assert_eq!(importance.len(), inputs, "one importance per input point");
+        }
+        if let Some(values) = self.window_values {
+            assert_eq!(values.len(), pairs, "one window value per pair");
+        }
+    }
+}
+
+/// The filter cells of [`LANES`] pairs and their weights.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Block {
+    /// The lowest of the cells around the point, along each axis.
+    pub cell: [u16; LANES],
+    /// The weights of that cell and of those [`Geometry::steps`] away.
+    pub weights: [[f32; LANES]; 8],
+}
+
+const EMPTY: Block = Block { cell: [0; LANES], weights: [[0.0; LANES]; 8] };
+
+/// The geometry of all pairs of a set of points. Its memory is reused from build to build.
+#[derive(Clone, Debug, Default)]
+pub struct Geometry {
+    pub(crate) blocks: Vec<Block>,
+    /// How many cells a pair can have a weight in: 1 or 8.
+    pub(crate) corners: usize,
+    /// From the lowest cell of a pair to each of its cells; x changes first, then y, then z.
+    pub(crate) steps: [usize; 8],
+    pub(crate) cells: usize,
+    pub(crate) inputs: usize,
+    pub(crate) outputs: usize,
+    pub(crate) kernel: Kernel,
+    pub(crate) indices: Vec<u32>,
+    pub(crate) row_splits: Vec<usize>,
+    windows: Vec<f32>,
+}
+
+impl Geometry {
+    /// Computes the cells and weights of all pairs.
+    ///
+    /// # Panics
+    /// If lengths in `sets` do not fit each other, if a neighbour's index is out of range, or if the filter
+    /// has more than 65,536 cells or none.
+    pub fn build(&mut self, options: &Options, sets: &PointSets<'_>, kernel: Kernel) {
+        sets.validate();
+        let cells = options.cells();
+        assert!((1..=1 << 16).contains(&cells), "{cells} filter cells, expected 1 to 65,536");
+        let pairs = sets.neighbors.indices.len();
+        self.corners = options.interpolation.corners();
+        let [depth, height, width] = options.filter_size;
+        let along = [(width, 1), (height, width), (depth, width * height)]
+            .map(|(size, stride)| if size > 1 { stride } else { 0 });
+        self.steps = std::array::from_fn(|corner| {
+            (corner & 1) * along[0] + (corner >> 1 & 1) * along[1] + (corner >> 2) * along[2]
+        });
+        self.cells = cells;
+        self.inputs = sets.inputs.len();
+        self.outputs = sets.outputs.len();
+        self.kernel = kernel;
+        self.indices.clone_from(&sets.neighbors.indices);
+        self.row_splits.clone_from(&sets.neighbors.row_splits);
+        self.windows.clear();
+        if options.normalize {
+            self.windows.resize(pairs, 0.0);
+            self.windows.par_chunks_mut(TASK_BLOCKS * LANES).enumerate().for_each(|(k, windows)| {
+                kernel.run(Windows { options, sets, first: k * TASK_BLOCKS * LANES, windows });
+            });
+            normalize(&mut self.windows, &self.row_splits);
+        }
+        self.blocks.resize(pairs.div_ceil(LANES), EMPTY);
+        let given = if options.normalize { Some(self.windows.as_slice()) } else { sets.window_values };
+        self.blocks.par_chunks_mut(TASK_BLOCKS).enumerate().for_each(|(k, blocks)| {
+            kernel.run(Blocks { options, sets, given, first: k * TASK_BLOCKS * LANES, blocks });
+        });
+    }
+}
+
+/// Divides the window values of each row by their sum, ψ of Eq. 9.
+fn normalize(windows: &mut [f32], row_splits: &[usize]) {
+    for row in row_splits.windows(2) {
+        let row = &mut windows[row[0]..row[1]];
+        let sum: f32 = row.iter().sum();
+        if sum != 0.0 {
+            row.iter_mut().for_each(|window| *window /= sum);
+        }
+    }
+}
+
+/// The rows of consecutive pairs.
+struct Rows<'a> {
+    sets: &'a PointSets<'a>,
+    pair: usize,
+    row: usize,
+}
+
+impl<'a> Rows<'a> {
+    /// Starts with pair `first`.
+    #[inline(always)]
+    fn new(sets: &'a PointSets<'a>, first: usize) -> Self {
+        // The last row that starts at or before the pair.
+        let row = sets.neighbors.row_splits.partition_point(|&start| start <= first).saturating_sub(1);
+        Rows { sets, pair: first, row }
+    }
+
+    /// The next pairs, as many as there are lanes: (x_i − x) / (extent / 2), the positions of the neighbours in
+    /// the unit ball, and the neighbours' indices. Lanes beyond the last pair are left at the centre.
+    #[inline(always)]
+    fn next(&mut self) -> ([[f32; LANES]; 3], &'a [u32]) {
+        let PointSets { inputs, outputs, neighbors, extent, .. } = self.sets;
+        let end = neighbors.indices.len().min(self.pair + LANES);
+        let indices = &neighbors.indices[self.pair..end];
+        let mut position = [[0.0; LANES]; 3];
+        for (lane, &index) in indices.iter().enumerate() {
+            while neighbors.row_splits[self.row + 1] <= self.pair + lane {
+                self.row += 1;
+            }
+            let (x_i, x, extent) = (inputs[index as usize], outputs[self.row], extent.of(self.row));
+            for axis in 0..3 {
+                position[axis][lane] = (x_i[axis] - x[axis]) / (0.5 * extent[axis]);
+            }
+        }
+        self.pair = end;
+        (position, indices)
+    }
+}
+
+/// The window values of the pairs from `first` on.
+struct Windows<'a> {
+    options: &'a Options,
+    sets: &'a PointSets<'a>,
+    first: usize,
+    windows: &'a mut [f32],
+}
+
+impl Operation for Windows<'_> {
+    #[inline(always)]
+    fn run<I: InstructionSet>(self) {
+        if let Some(values) = self.sets.window_values {
+            let end = self.first + self.windows.len();
+            self.windows.copy_from_slice(&values[self.first..end]);
+            return;
+        }
+        let mut rows = Rows::new(self.sets, self.first);
+        for windows in self.windows.chunks_mut(LANES) {
+            let (position, _) = rows.next();
+            let mut block = [0.0; LANES];
+            for lane in (0..LANES).step_by(I::LANES) {
+                let [x, y, z] = &position;
+                let (x, y, z) = (I::load(&x[lane..]), I::load(&y[lane..]), I::load(&z[lane..]));
+                let q = I::add(I::add(I::mul(x, x), I::mul(y, y)), I::mul(z, z));
+                I::store(self.options.window.values::<I>(q), &mut block[lane..]);
+            }
+            windows.copy_from_slice(&block[..windows.len()]);
+        }
+    }
+}
+
+/// The blocks that start with pair `first`.
+struct Blocks<'a> {
+    options: &'a Options,
+    sets: &'a PointSets<'a>,
+    /// A window value for each pair, if they do not follow from the options alone.
+    given: Option<&'a [f32]>,
+    first: usize,
+    blocks: &'a mut [Block],
+}
+
+impl Operation for Blocks<'_> {
+    #[inline(always)]
+    fn run<I: InstructionSet>(self) {
+        let Blocks { options, sets, given, first, blocks } = self;
+        let window = if given.is_some() { Window::None } else { options.window };
+        let mut rows = Rows::new(sets, first);
+        for block in blocks {
+            let pair = rows.pair;
+            let (position, indices) = rows.next();
+            let mut scale = [1.0; LANES];
+            if let Some(given) = given {
+                scale[..indices.len()].copy_from_slice(&given[pair..pair + indices.len()]);
+            }
+            if let Some(importance) = sets.importance {
+                scale.iter_mut().zip(indices).for_each(|(scale, &i)| *scale *= importance[i as usize]);
+            }
+            for lane in (0..LANES).step_by(I::LANES) {
+                let [x, y, z] = &position;
+                let p = [I::load(&x[lane..]), I::load(&y[lane..]), I::load(&z[lane..])];
+                let scale = I::load(&scale[lane..]);
+                // The paper's choices have a loop of their own, in which nothing is left to choose.
+                if (options.mapping, options.interpolation, window)
+                    == (Mapping::VolumePreserving, Interpolation::Linear, Window::Poly6)
+                {
+                    let choices = (Mapping::VolumePreserving, Interpolation::Linear, Window::Poly6);
+                    fill::<I>(options, choices, p, scale, block, lane);
+                } else {
+                    let choices = (options.mapping, options.interpolation, window);
+                    fill::<I>(options, choices, p, scale, block, lane);
+                }
+            }
+        }
+    }
+}
+
+/// Fills some lanes of a block for neighbours at `p` in the unit ball.
+#[inline(always)]
+fn fill<I: InstructionSet>(
+    options: &Options,
+    (mapping, interpolation, window): (Mapping, Interpolation, Window),
+    p: [I::Vector; 3],
+    scale: I::Vector,
+    block: &mut Block,
+    lane: usize,
+) {
+    let [depth, height, width] = options.filter_size.map(|cells| cells as f32);
+    let (align, offset) = (options.align_corners, options.offset);
+    let q = I::add(I::add(I::mul(p[0], p[0]), I::mul(p[1], p[1])), I::mul(p[2], p[2]));
+    let scale = I::mul(scale, window.values::<I>(q));
+    let p = mapping.apply::<I>(p);
+    let x = interpolation.along::<I>(grid_coordinate::<I>(p[0], width, align, offset[0]), width);
+    let y = interpolation.along::<I>(grid_coordinate::<I>(p[1], height, align, offset[1]), height);
+    let z = interpolation.along::<I>(grid_coordinate::<I>(p[2], depth, align, offset[2]), depth);
+    let row = I::multiply_add(z.cell, I::splat(height), y.cell);
+    let cell = I::multiply_add(row, I::splat(width), x.cell);
+    I::store_u16(cell, &mut block.cell[lane..]);
+    for k in 0..2 {
+        let z_weight = I::mul(z.weights[k], scale);
+        for j in 0..2 {
+            let yz_weight = I::mul(y.weights[j], z_weight);
+            for i in 0..2 {
+                let weight = I::mul(x.weights[i], yz_weight);
+                I::store(weight, &mut block.weights[4 * k + 2 * j + i][lane..]);
+            }
+        }
+    }
+}

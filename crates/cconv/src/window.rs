@@ -1,0 +1,32 @@
+//! The window function a(x_i, x) of Eq. 8 and its alternatives of Table 5.
+
+use crate::cpu::InstructionSet;
+
+/// The weight of a neighbour by its distance. With q the squared distance divided by R² (along each axis by
+/// its own R where the extent is anisotropic), every window but [`Window::None`] is 0 at R and beyond.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Window {
+    /// (1 − q)³, Eq. 8, after the poly6 kernel of Müller et al. (2003).
+    #[default]
+    Poly6,
+    /// 1 − √q.
+    Triangular,
+    /// 1: every neighbour counts the same.
+    None,
+}
+
+impl Window {
+    /// The window's values at the squared normalised distances `q`.
+    #[inline(always)]
+    pub(crate) fn values<I: InstructionSet>(self, q: I::Vector) -> I::Vector {
+        let (zero, one) = (I::splat(0.0), I::splat(1.0));
+        match self {
+            Window::Poly6 => {
+                let t = I::max(I::sub(one, q), zero);
+                I::mul(I::mul(t, t), t)
+            }
+            Window::Triangular => I::max(I::sub(one, I::sqrt(q)), zero),
+            Window::None => one,
+        }
+    }
+}

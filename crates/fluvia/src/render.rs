@@ -1,0 +1,307 @@
+//! `fluvia render`: draws frames as a picture, a contact sheet or a film.
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use anyhow::{Context, Result, bail};
+use fluvia_render::{
+    Camera, Frame, GifEncoder, Image, OutsideTest, Palette, Row, Scale, Sheet, Style, Subject, Tile, Values,
+    View, Walls, encode_png, heights, sheet, speeds,
+};
+use fluvia_sim::frames::{self, ParticleData, run};
+use fluvia_sim::scene::{DEFAULT_DT, DEFAULT_PARTICLE_RADIUS};
+
+use crate::record::Record;
+use crate::report::Report;
+
+/// Options of `fluvia render`.
+#[derive(clap::Args)]
+#[command(after_help = "\
+Examples:
+  fluvia render out/dam -o last.png
+  fluvia render out/dam -o sheet.png --sheet 4x2
+  fluvia render PBF=out/pbf network=out/net -o compare.png --frames 0,10,20,50,100 --title 'Two solvers'
+  fluvia render out/dam -o film.gif --every 2 --size 360
+
+All pictures of a sheet or film share one camera and one colour scale. Orange particles are more than a radius
+behind the wall.")]
+pub struct Args {
+    /// Directories of frames, as `fluvia simulate` writes them; LABEL=DIR names one. Each is a row of a sheet.
+    #[arg(required = true, value_name = "FRAMES_DIR")]
+    runs: Vec<String>,
+    /// The picture (.png) or film (.gif) to write.
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+    /// A contact sheet of COLUMNS x ROWS frames, evenly spread; with several directories, one row for each.
+    #[arg(long, value_name = "COLUMNSxROWS", conflicts_with = "frame")]
+    sheet: Option<Shape>,
+    /// The frames of a sheet or film, in place of evenly spread ones.
+    #[arg(long, value_name = "LIST", value_delimiter = ',', conflicts_with = "frame")]
+    frames: Vec<u64>,
+    /// The one frame to draw; the last if not given.
+    #[arg(long, value_name = "N")]
+    frame: Option<u64>,
+    /// Every K-th frame of a film; it plays at the speed of the simulation.
+    #[arg(long, value_name = "K", default_value = "1")]
+    every: std::num::NonZeroUsize,
+    /// What colours show.
+    #[arg(long, value_enum, default_value_t = Color::Speed)]
+    color: Color,
+    /// The speed of the yellow end of the scale, metres per second.
+    #[arg(long, value_name = "SPEED", default_value_t = 4.0)]
+    max_speed: f32,
+    /// The turn of the camera about the vertical, degrees.
+    #[arg(long, value_name = "DEGREES", default_value_t = 24.0, allow_negative_numbers = true)]
+    yaw: f32,
+    /// How far the camera looks down, degrees.
+    #[arg(long, value_name = "DEGREES", default_value_t = 18.0, allow_negative_numbers = true)]
+    pitch: f32,
+    /// The width of a picture, pixels; 640, in a sheet 240.
+    #[arg(long, value_name = "PIXELS")]
+    size: Option<u32>,
+    /// The highest point to show, metres; the highest particle if not given.
+    #[arg(long, value_name = "HEIGHT")]
+    top: Option<f32>,
+    /// A title above a sheet.
+    #[arg(long, default_value = "")]
+    title: String,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Color {
+    /// Speed, on a square-root scale.
+    Speed,
+    /// Height.
+    Height,
+    /// The fluid of the scene that a particle came from.
+    Body,
+}
+
+/// Columns and rows of a sheet.
+#[derive(Clone, Copy, Debug)]
+struct Shape {
+    columns: usize,
+    rows: usize,
+}
+
+impl std::str::FromStr for Shape {
+    type Err = String;
+
+    fn from_str(text: &str) -> std::result::Result<Shape, String> {
+        let number = |text: &str| text.parse().ok().filter(|n| (1..=100).contains(n));
+        let shape = text.split_once(['x', 'X']).map(|(c, r)| (number(c), number(r)));
+        match shape {
+            Some((Some(columns), Some(rows))) => Ok(Shape { columns, rows }),
+            _ => Err("expected COLUMNSxROWS, each 1 to 100, as in 4x2".into()),
+        }
+    }
+}
+
+/// The width of a picture where none is given, pixels: alone, and as a tile of a sheet.
+const WIDTHS: [u32; 2] = [640, 240];
+
+/// Frames of a film that its colours are chosen from.
+const PALETTE_FRAMES: usize = 8;
+
+pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
+    let output = args.output.display();
+    let extension = args.output.extension().and_then(|extension| extension.to_str()).unwrap_or_default();
+    let is_film = match extension.to_ascii_lowercase().as_str() {
+        "png" => false,
+        "gif" => true,
+        _ => bail!("{output}: expected a name that ends in .png or .gif"),
+    };
+    if is_film && (args.runs.len() > 1 || args.sheet.is_some() || args.frame.is_some()) {
+        bail!("{output}: a film shows one directory, without --sheet or --frame");
+    }
+    let runs = args.runs.iter().map(|text| Run::open(text)).collect::<Result<Vec<_>>>()?;
+    let rows = choose_frames(args, &runs, is_film)?;
+    let moments = rows
+        .iter()
+        .map(|(run, frames)| frames.iter().map(|&frame| runs[*run].moment(frame, args.color)).collect())
+        .collect::<Result<Vec<Vec<Moment>>>>()?;
+
+    let first = &runs[0];
+    let is_sheet = args.sheet.is_some() || runs.len() > 1 || (args.frames.len() > 1 && !is_film);
+    let mut subject = Subject::new(first.walls(), first.radius).with_up(first.up);
+    moments.iter().flatten().for_each(|moment| subject.add(&moment.position));
+    let width = args.size.unwrap_or(WIDTHS[usize::from(is_sheet)]);
+    let view = View { yaw: args.yaw, pitch: args.pitch, width, top: args.top, ..View::default() };
+    let camera = Camera::fit(&subject, &view)?;
+    let style = style(args, &runs, &moments);
+
+    let bytes = if is_film {
+        film(&runs[0], &moments[0], &camera, &style, args)?
+    } else {
+        let rows = rows.iter().zip(&moments).map(|((run, _), moments)| row(&runs[*run], moments));
+        let mut rows: Vec<_> = rows.collect();
+        if runs.len() == 1 {
+            // The rows of one run need no label.
+            rows.iter_mut().for_each(|row| row.label.clear());
+        }
+        let page = Sheet { title: args.title.clone(), rows };
+        encode_png(&sheet(&page, &camera, &style)?)?
+    };
+    frames::write_atomically(&args.output, |file| file.write_all(&bytes))?;
+    report.detail(format_args!("{output}: {} bytes", bytes.len()));
+    Ok(ExitCode::SUCCESS)
+}
+
+/// The rows of the picture: which run, and which of its frames.
+fn choose_frames(args: &Args, runs: &[Run], is_film: bool) -> Result<Vec<(usize, Vec<u64>)>> {
+    if is_film {
+        let all = if args.frames.is_empty() { &runs[0].frames } else { &args.frames };
+        return Ok(vec![(0, all.iter().copied().step_by(args.every.get()).collect())]);
+    }
+    let mut rows = Vec::new();
+    for (k, run) in runs.iter().enumerate() {
+        let last = *run.frames.last().context("a run has frames")?;
+        let (columns, row_count) = match args.sheet {
+            Some(shape) => (shape.columns, if runs.len() == 1 { shape.rows } else { 1 }),
+            None => (args.frames.len().max(1), 1),
+        };
+        let count = columns * row_count;
+        let frames: Vec<u64> = match (args.frames.as_slice(), args.frame) {
+            ([], None) if count == 1 => vec![last],
+            ([], None) => spread(&run.frames, count),
+            ([], Some(frame)) => vec![frame],
+            (frames, _) => frames.to_vec(),
+        };
+        rows.extend(frames.chunks(columns).map(|frames| (k, frames.to_vec())));
+    }
+    Ok(rows)
+}
+
+/// `count` of the frames, evenly spread from the first to the last.
+fn spread(frames: &[u64], count: usize) -> Vec<u64> {
+    let count = count.min(frames.len());
+    (0..count).map(|k| frames[(k * (frames.len() - 1)).checked_div(count - 1).unwrap_or(0)]).collect()
+}
+
+fn style(args: &Args, runs: &[Run], moments: &[Vec<Moment>]) -> Style {
+    let scale = match args.color {
+        Color::Height => {
+            let values = moments.iter().flatten().flat_map(|moment| &moment.values);
+            let (low, high) = values
+                .filter(|value| value.is_finite())
+                .fold((f32::INFINITY, f32::NEG_INFINITY), |(low, high), &x| (low.min(x), high.max(x)));
+            if low < high { Scale::height(low, high) } else { Scale::height(0.0, 1.0) }
+        }
+        Color::Speed | Color::Body => Scale::speed(args.max_speed),
+    };
+    let bodies = moments.iter().flatten().flat_map(|moment| &moment.bodies).max().map_or(0, |&last| last + 1);
+    let bodies = (0..bodies).map(|body| format!("body {body}")).collect();
+    Style { radius: runs[0].radius, scale, bodies, ..Style::default() }
+}
+
+/// A film: every moment as a sheet of one tile.
+fn film(run: &Run, moments: &[Moment], camera: &Camera, style: &Style, args: &Args) -> Result<Vec<u8>> {
+    let draw = |moment: &Moment| -> Result<Image> {
+        let rows = vec![Row { label: String::new(), walls: run.walls(), tiles: vec![moment.tile(run.dt)] }];
+        Ok(sheet(&Sheet { title: args.title.clone(), rows }, camera, style)?)
+    };
+    let step = moments.len().div_ceil(PALETTE_FRAMES).max(1);
+    let samples = moments.iter().step_by(step).map(draw).collect::<Result<Vec<_>>>()?;
+    let size = samples.first().context("no frames to draw")?;
+    let mut encoder = GifEncoder::new(size.width, size.height, Palette::of(&samples))?;
+    let seconds = run.dt * args.every.get() as f64;
+    for moment in moments {
+        encoder.push(&draw(moment)?, seconds)?;
+    }
+    Ok(encoder.finish()?)
+}
+
+fn row<'a>(run: &'a Run, moments: &'a [Moment]) -> Row<'a> {
+    let tiles = moments.iter().map(|moment| moment.tile(run.dt)).collect();
+    Row { label: run.label.clone(), walls: run.walls(), tiles }
+}
+
+/// A directory of frames.
+struct Run {
+    label: String,
+    path: PathBuf,
+    frames: Vec<u64>,
+    walls: ParticleData,
+    outside: Option<OutsideTest>,
+    /// Seconds between frames.
+    dt: f64,
+    /// Particle radius, metres.
+    radius: f32,
+    /// Against gravity.
+    up: [f32; 3],
+}
+
+impl Run {
+    /// Opens `DIR` or `LABEL=DIR`.
+    fn open(text: &str) -> Result<Run> {
+        let (label, path) = match text.split_once('=') {
+            Some((label, path)) if !Path::new(text).exists() => (label.to_owned(), PathBuf::from(path)),
+            _ => (text.to_owned(), PathBuf::from(text)),
+        };
+        let mut numbers: Vec<u64> = run::list(&path)?.into_iter().map(|frame| frame.index).collect();
+        numbers.dedup();
+        if numbers.is_empty() {
+            bail!("{}: no frames, expected fluid_0000.npz or the like", path.display());
+        }
+        let record_path = path.join(run::RECORD);
+        let record: Option<Record> =
+            if record_path.exists() { Some(frames::read_json(&record_path)?) } else { None };
+        let (dt, radius, gravity) = record
+            .map_or((DEFAULT_DT, DEFAULT_PARTICLE_RADIUS, [0.0, -1.0, 0.0]), |record| {
+                (record.dt, record.particle_radius, record.gravity)
+            });
+        // Without gravity y is up, as everywhere.
+        let up = if gravity == [0.0; 3] { [0.0, 1.0, 0.0] } else { gravity.map(|g| -g) };
+        let walls = run::read_walls(&path)?.unwrap_or_default();
+        let mut opened =
+            Run { label, path, frames: numbers, walls, outside: None, dt: f64::from(dt), radius, up };
+        if opened.walls.normal.is_some() {
+            opened.outside = Some(OutsideTest::new(opened.walls(), radius));
+        }
+        Ok(opened)
+    }
+
+    fn walls(&self) -> Walls<'_> {
+        Walls { position: &self.walls.position, normal: self.walls.normal.as_deref().unwrap_or_default() }
+    }
+
+    fn moment(&self, index: u64, color: Color) -> Result<Moment> {
+        if !self.frames.contains(&index) {
+            let (first, last) = (self.frames[0], self.frames[self.frames.len() - 1]);
+            bail!("{}: no frame {index}, there are {first} to {last}", self.path.display());
+        }
+        let ParticleData { position, velocity, body, .. } = run::read_frame(&self.path, index)?;
+        let (mut values, mut bodies) = (Vec::new(), Vec::new());
+        match color {
+            Color::Speed => values = velocity.as_deref().map(speeds).unwrap_or_default(),
+            Color::Height => values = heights(&position, self.up),
+            Color::Body => bodies = body.unwrap_or_else(|| vec![0; position.len()]),
+        }
+        let outside = self.outside.as_ref().map(|test| test.mark(&position)).unwrap_or_default();
+        Ok(Moment { index, position, values, bodies, outside })
+    }
+}
+
+/// The particles of one frame and what colours them.
+struct Moment {
+    index: u64,
+    position: Vec<[f32; 3]>,
+    values: Vec<f32>,
+    bodies: Vec<u32>,
+    outside: Vec<bool>,
+}
+
+impl Moment {
+    fn tile(&self, dt: f64) -> Tile<'_> {
+        let values = match (self.values.as_slice(), self.bodies.as_slice()) {
+            ([], []) => Values::None,
+            ([], bodies) => Values::Body(bodies),
+            (values, _) => Values::Scalar(values),
+        };
+        Tile {
+            frame: Frame { position: &self.position, values, outside: &self.outside },
+            label: format!("frame {}", self.index),
+            note: format!("{:.2} s", self.index as f64 * dt),
+        }
+    }
+}

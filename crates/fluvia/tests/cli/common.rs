@@ -1,0 +1,114 @@
+//! What the command-line tests share: a folder of their own, and runs of the program.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+/// The small network of fixtures/weights, as the given file.
+pub fn fixture(name: &str) -> String {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/weights").join(name);
+    assert!(path.exists(), "{} is missing", path.display());
+    path.display().to_string()
+}
+
+/// A temporary folder, which is also where the program runs.
+pub struct Folder(tempfile::TempDir);
+
+impl Folder {
+    pub fn new() -> Folder {
+        Folder(tempfile::tempdir().expect("a temporary folder"))
+    }
+
+    pub fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    pub fn write(&self, name: &str, content: impl AsRef<[u8]>) {
+        std::fs::write(self.path(name), content).expect("a file in a temporary folder");
+    }
+
+    /// The program with arguments split at blanks, not started.
+    pub fn command(&self, arguments: &str) -> Command {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_fluvia"));
+        command.args(arguments.split_whitespace()).current_dir(self.0.path());
+        command
+    }
+
+    pub fn run(&self, arguments: &str) -> Run {
+        Run::new(arguments, self.command(arguments).output().expect("the program starts"))
+    }
+
+    /// Runs what must succeed.
+    pub fn succeed(&self, arguments: &str) -> Run {
+        let run = self.run(arguments);
+        assert_eq!(run.code, Some(0), "{arguments}: {}", run.stderr);
+        run
+    }
+
+    /// Runs what must fail with one line that mentions all of `words`, and leave no directory `out`.
+    pub fn fail(&self, arguments: &str, words: &[&str]) {
+        let run = self.run(arguments);
+        assert_eq!(run.code, Some(1), "{arguments}: {}", run.stderr);
+        let errors: Vec<&str> = run.stderr.lines().filter(|line| !line.starts_with("warning: ")).collect();
+        assert!(
+            matches!(errors.as_slice(), [line] if line.starts_with("error: ")),
+            "{arguments}: expected one line of error: {:?}",
+            run.stderr
+        );
+        for word in words {
+            assert!(errors[0].contains(word), "{arguments}: `{word}` in {:?}", errors[0]);
+        }
+        assert!(!self.path("out").exists(), "{arguments}: left `out` behind");
+    }
+
+    /// The content of all files of a run but its record, which holds times and threads.
+    pub fn files(&self, directory: &str) -> BTreeMap<String, Vec<u8>> {
+        let entries = std::fs::read_dir(self.path(directory)).expect("a directory");
+        entries
+            .map(|entry| {
+                let path = entry.expect("an entry").path();
+                let name = path.file_name().expect("a name").to_string_lossy().into_owned();
+                (name, std::fs::read(&path).expect("a readable file"))
+            })
+            .filter(|(name, _)| name != "run.json")
+            .collect()
+    }
+}
+
+/// What a run of the program did.
+pub struct Run {
+    pub code: Option<i32>,
+    pub stdout: String,
+    pub stderr: String,
+}
+
+impl Run {
+    fn new(arguments: &str, output: Output) -> Run {
+        let text = |bytes: Vec<u8>| String::from_utf8(bytes).expect("UTF-8");
+        let run =
+            Run { code: output.status.code(), stdout: text(output.stdout), stderr: text(output.stderr) };
+        assert!(!run.stderr.contains("panicked"), "{arguments}: {}", run.stderr);
+        run
+    }
+
+    pub fn last_json(&self) -> serde_json::Value {
+        let line = self.stdout.lines().last().expect("a line of output");
+        serde_json::from_str(line).unwrap_or_else(|error| panic!("{error}: {line}"))
+    }
+}
+
+/// A block of 64 particles above the floor of a small container.
+pub const SCENE: &str = r#"{
+  "walls": [{"shape": "container", "scale": [0.5, 0.8, 0.5]}],
+  "fluids": [{"shape": "box", "scale": 0.2, "translation": [0, 0.3, 0], "velocity": [0.5, 0, 0.2]}]
+}"#;
+
+/// The text of [`SCENE`] with further keys at its top.
+pub fn scene_with(keys: &str) -> String {
+    SCENE.replacen('{', &format!("{{ {keys},"), 1)
+}
+
+/// The text of a scene whose fluid is given by these keys.
+pub fn scene_of(fluid: &str) -> String {
+    format!(r#"{{"walls": [{{"shape": "container", "scale": [0.5, 0.8, 0.5]}}], "fluids": [{{{fluid}}}]}}"#)
+}

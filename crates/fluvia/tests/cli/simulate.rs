@@ -1,0 +1,195 @@
+//! `fluvia simulate`: frames, determinism, interruption and resuming.
+
+use std::process::Stdio;
+use std::time::Duration;
+
+use crate::common::{Folder, SCENE, fixture, scene_of, scene_with};
+
+const FORMATS: &str = "--format npz,ply,bgeo,vtu,vtk";
+
+/// Both solvers, as arguments.
+fn solvers() -> [String; 2] {
+    ["--solver pbf".into(), format!("--weights {}", fixture("plain.pt"))]
+}
+
+#[test]
+fn n_steps_write_n_plus_one_frames_in_every_format() {
+    let folder = Folder::new();
+    folder.write("scene.json", SCENE);
+    for (k, solver) in solvers().iter().enumerate() {
+        let run = folder.succeed(&format!("simulate scene.json {solver} --steps 3 --out {k} {FORMATS}"));
+        assert!(run.stdout.contains("64 particles, 3 steps"), "{}", run.stdout);
+        assert_eq!(run.stderr, "");
+        let names: Vec<String> = folder.files(&k.to_string()).into_keys().collect();
+        let mut expected = vec!["fluid.pvd".to_owned(), "state.npz".to_owned()];
+        for extension in ["npz", "ply", "bgeo", "vtu", "vtk"] {
+            expected.push(format!("box.{extension}"));
+            expected.extend((0..=3).map(|frame| format!("fluid_{frame:04}.{extension}")));
+        }
+        expected.sort();
+        assert_eq!(names, expected);
+    }
+}
+
+#[test]
+fn runs_are_the_same_bytes_at_any_number_of_threads() {
+    let folder = Folder::new();
+    folder.write("scene.json", SCENE);
+    for solver in solvers() {
+        let run = |out: &str, more: &str| {
+            folder
+                .succeed(&format!("simulate scene.json {solver} --steps 12 --out {out} --overwrite {more}"));
+            folder.files(out)
+        };
+        let first = run("a", "--threads 1");
+        assert_eq!(first, run("b", "--threads 2"));
+        assert_eq!(first, run("c", "--threads 2"));
+        assert_ne!(first["box.npz"], run("d", "--seed 7")["box.npz"]);
+    }
+}
+
+#[test]
+fn a_killed_run_goes_on_to_the_same_bytes() {
+    let folder = Folder::new();
+    folder.write("scene.json", SCENE);
+    for solver in solvers() {
+        let arguments =
+            |out: &str| format!("simulate scene.json {solver} --steps 120 --out {out} --quiet {FORMATS}");
+        folder.succeed(&format!("{} --overwrite", arguments("whole")));
+        // Moments spread over a run, the first before anything is on disk.
+        for k in 0..20u64 {
+            let mut command = folder.command(&format!("{} --resume", arguments("killed")));
+            let mut child = command.stderr(Stdio::null()).stdout(Stdio::null()).spawn().unwrap();
+            std::thread::sleep(Duration::from_micros(3_000 + 7_919 * (k * k % 23)));
+            child.kill().unwrap();
+            child.wait().unwrap();
+        }
+        folder.succeed(&format!("{} --resume", arguments("killed")));
+        assert!(folder.files("killed") == folder.files("whole"), "{solver}: files differ");
+        std::fs::remove_dir_all(folder.path("killed")).unwrap();
+    }
+}
+
+#[test]
+#[cfg(unix)]
+fn control_c_leaves_whole_frames() {
+    let folder = Folder::new();
+    folder.write("scene.json", SCENE);
+    let mut command = folder.command("simulate scene.json --steps 100000 --out out");
+    let child = command.stderr(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
+    while !folder.path("out/fluid_0003.npz").exists() {
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    let pid = child.id().to_string();
+    assert!(std::process::Command::new("kill").args(["-INT", &pid]).status().unwrap().success());
+    let output = child.wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(130));
+    assert!(String::from_utf8(output.stderr).unwrap().contains("--resume"));
+    let frames = folder.files("out").keys().filter(|name| name.starts_with("fluid_")).count();
+    let state = folder.succeed("inspect out/state.npz --json").last_json();
+    assert_eq!(state["particles"], 64);
+    let run =
+        folder.succeed(&format!("simulate scene.json --steps {} --out out --resume --json", frames + 1));
+    assert_eq!(run.last_json()["steps"], frames + 1);
+}
+
+#[test]
+fn resuming_another_run_is_refused() {
+    let folder = Folder::new();
+    folder.write("scene.json", SCENE);
+    folder.write("other.json", scene_with(r#""gravity": [0, -5, 0]"#));
+    folder.succeed("simulate scene.json --steps 2 --out out");
+    let before = folder.files("out");
+    for (arguments, word) in [
+        ("simulate other.json --steps 4 --out out --resume", "scene"),
+        ("simulate scene.json --steps 4 --out out --resume --seed 1", "particles"),
+        ("simulate scene.json --steps 4 --out out --resume --format ply", "formats"),
+        ("simulate scene.json --steps 4 --out out --resume --solver-dt 0.002", "parameters"),
+        ("simulate scene.json --steps 4 --out out", "--resume"),
+    ] {
+        let run = folder.run(arguments);
+        assert_eq!(run.code, Some(1), "{arguments}");
+        assert!(run.stderr.contains(word), "{arguments}: {}", run.stderr);
+        assert!(folder.files("out") == before, "{arguments}: changed the run");
+    }
+    // More steps, then again from the beginning: the same bytes.
+    folder.succeed("simulate scene.json --steps 4 --out out --resume");
+    let extended = folder.files("out");
+    folder.write("out/notes.txt", "mine");
+    folder.succeed("simulate scene.json --steps 4 --out out --overwrite");
+    assert_eq!(std::fs::read(folder.path("out/notes.txt")).unwrap(), b"mine");
+    std::fs::remove_file(folder.path("out/notes.txt")).unwrap();
+    assert!(folder.files("out") == extended);
+}
+
+#[test]
+fn emitters_and_what_falls_out() {
+    let folder = Folder::new();
+    let jet = r#""shape": "box", "scale": [0.2, 0.05, 0.2], "translation": [0, 0.6, 0], "velocity": [0, -3, 0],
+        "start": 1, "stop": 6, "step": 2"#;
+    folder.write("scene.json", scene_of(jet));
+    folder.succeed("simulate scene.json --steps 8 --out out");
+    let counts: Vec<u64> = (0..=8)
+        .map(|k| folder.succeed(&format!("inspect out/fluid_{k:04}.npz --json")).last_json())
+        .map(|found| found["particles"].as_u64().unwrap())
+        .collect();
+    assert_eq!(counts, [0, 16, 16, 32, 32, 48, 48, 48, 48]);
+
+    // Beside the container nothing holds it.
+    folder.write("scene.json", scene_of(r#""shape": "box", "scale": 0.1, "translation": [3, 0.3, 0]"#));
+    let run = folder.succeed("simulate scene.json --steps 40 --out fallen --json");
+    let summary = run.last_json();
+    assert_eq!((summary["particles"].as_u64(), summary["removed"].as_u64()), (Some(0), Some(8)));
+    assert!(run.stderr.contains("warning: ") && run.stderr.contains("removed"), "{}", run.stderr);
+    assert_eq!(folder.files("fallen").len(), 41 + 2);
+}
+
+#[test]
+fn warnings_are_lines_and_quiet_is_quiet() {
+    let folder = Folder::new();
+    let overlap = r#""shape": "box", "scale": 0.2, "translation": [0, 0.4, 0], "stop": 3"#;
+    folder.write("scene.json", scene_of(overlap));
+    let run = folder.succeed("simulate scene.json --steps 4 --out a");
+    let lines: Vec<&str> = run.stderr.lines().collect();
+    assert!(lines.iter().all(|line| line.starts_with("warning: ")), "{}", run.stderr);
+    assert!(lines[0].contains("fluids[0]") && lines[0].contains("step"), "{}", run.stderr);
+    let run = folder.succeed("simulate scene.json --steps 4 --out b --quiet");
+    assert_eq!((run.stdout.as_str(), run.stderr.as_str()), ("", ""));
+}
+
+/// A disk that is full in the middle of a run: the frames before it are whole, and the run goes on elsewhere.
+#[test]
+#[cfg(target_os = "linux")]
+fn a_full_disk() {
+    let folder = Folder::new();
+    folder.write("scene.json", SCENE);
+    let disk = folder.path("disk");
+    std::fs::create_dir(&disk).unwrap();
+    let mounted = std::process::Command::new("mount")
+        .args(["-t", "tmpfs", "-o", "size=384k", "tmpfs"])
+        .arg(&disk)
+        .output()
+        .is_ok_and(|output| output.status.success());
+    if !mounted {
+        eprintln!("skipped: a small disk cannot be mounted here");
+        return;
+    }
+    let run = folder.run("simulate scene.json --steps 300 --out disk/out");
+    let unmount = || std::process::Command::new("umount").arg("-l").arg(&disk).status();
+    let files = folder.files("disk/out");
+    let moved = folder.path("moved");
+    std::fs::create_dir(&moved).unwrap();
+    for (name, content) in &files {
+        std::fs::write(moved.join(name), content).unwrap();
+    }
+    std::fs::copy(disk.join("out/run.json"), moved.join("run.json")).unwrap();
+    unmount().unwrap();
+    assert_eq!(run.code, Some(1), "{}", run.stderr);
+    assert!(run.stderr.starts_with("error: disk/out/") && run.stderr.contains("space"), "{}", run.stderr);
+    assert_eq!(run.stderr.lines().count(), 1);
+    assert!(files.keys().all(|name| !name.contains("tmp")), "{:?}", files.keys());
+    // Elsewhere it goes on to the bytes of a run that was never stopped.
+    folder.succeed("simulate scene.json --steps 300 --out moved --resume");
+    folder.succeed("simulate scene.json --steps 300 --out whole");
+    assert!(folder.files("moved") == folder.files("whole"));
+}

@@ -1,0 +1,141 @@
+//! The commands beside `simulate`: render, inspect, convert, bench, completions.
+
+use crate::common::{Folder, SCENE, fixture};
+
+/// A folder with a short run in `out`.
+fn with_run() -> Folder {
+    let folder = Folder::new();
+    folder.write("scene.json", SCENE);
+    folder.succeed("simulate scene.json --steps 6 --out out --format npz,vtu");
+    folder
+}
+
+#[test]
+fn pictures_sheets_and_films() {
+    let folder = with_run();
+    let size = |name: &str| {
+        let bytes = std::fs::read(folder.path(name)).unwrap();
+        assert_eq!(&bytes[1..4], b"PNG", "{name}");
+        let number = |at: usize| u32::from_be_bytes(bytes[at..at + 4].try_into().unwrap());
+        (number(16), number(20))
+    };
+    folder.succeed("render out -o last.png --size 200");
+    folder.succeed("render out -o third.png --size 200 --frame 3 --color height");
+    assert_eq!(size("last.png").0, size("third.png").0);
+    assert_ne!(
+        std::fs::read(folder.path("last.png")).unwrap(),
+        std::fs::read(folder.path("third.png")).unwrap()
+    );
+    folder.succeed("render out -o sheet.png --size 100 --sheet 3x2");
+    folder.succeed("render A=out B=out -o two.png --size 100 --frames 0,3,6 --color body");
+    assert!(size("sheet.png").0 > 300 && size("two.png").0 > 300);
+    folder.succeed("render out -o film.gif --size 120 --every 2");
+    assert_eq!(&std::fs::read(folder.path("film.gif")).unwrap()[..6], b"GIF89a");
+    // The same frames give the same picture.
+    folder.succeed("render out -o again.png --size 200");
+    assert_eq!(
+        std::fs::read(folder.path("last.png")).unwrap(),
+        std::fs::read(folder.path("again.png")).unwrap()
+    );
+}
+
+#[test]
+fn what_cannot_be_drawn() {
+    let folder = with_run();
+    for (arguments, words) in [
+        ("render out -o a.jpg", ["a.jpg", ".png"]),
+        ("render out -o a.png --frame 7", ["frame 7", "0 to 6"]),
+        ("render nothing -o a.png", ["nothing", "No such file"]),
+        ("render . -o a.png", [".", "no frames"]),
+        ("render out -o none/a.png", ["none", "No such file"]),
+        ("render out out -o a.gif", ["a.gif", "one directory"]),
+    ] {
+        let run = folder.run(arguments);
+        assert_eq!(run.code, Some(1), "{arguments}: {}", run.stderr);
+        assert_eq!(run.stderr.lines().count(), 1, "{}", run.stderr);
+        for word in words {
+            assert!(run.stderr.contains(word), "{arguments}: {}", run.stderr);
+        }
+        assert!(!folder.path("a.png").exists() && !folder.path("a.gif").exists());
+    }
+}
+
+#[test]
+fn inspect_says_what_is_in_each_kind_of_file() {
+    let folder = with_run();
+    folder.write("mesh.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n");
+    for (path, key, value) in [
+        ("scene.json".to_owned(), "kind", "scene"),
+        ("dam_break".to_owned(), "kind", "scene"),
+        ("out/fluid_0002.vtu".to_owned(), "kind", "particles"),
+        ("out/box.npz".to_owned(), "kind", "particles"),
+        ("mesh.obj".to_owned(), "kind", "mesh"),
+        ("out".to_owned(), "kind", "run"),
+        (fixture("plain.pt"), "kind", "weights"),
+        (fixture("plain.h5"), "format", "Keras (HDF5)"),
+    ] {
+        let found = folder.succeed(&format!("inspect {path} --json")).last_json();
+        assert_eq!(found[key], value, "{path}");
+        let text = folder.succeed(&format!("inspect {path}")).stdout;
+        assert!(text.lines().count() >= 4, "{path}: {text}");
+    }
+    folder.write("notes.txt", "mine");
+    for (path, word) in [("none.pt", "No such file"), ("notes.txt", "expected"), (".", "no frames")] {
+        let run = folder.run(&format!("inspect {path}"));
+        assert_eq!(run.code, Some(1));
+        assert!(run.stderr.starts_with("error: ") && run.stderr.contains(word), "{}", run.stderr);
+    }
+}
+
+#[test]
+fn weights_of_every_form_convert_to_the_same_bytes() {
+    let folder = Folder::new();
+    folder.succeed(&format!("convert {} a.safetensors", fixture("plain.pt")));
+    folder.succeed(&format!("convert {} b.safetensors", fixture("plain.h5")));
+    folder.succeed("convert a.safetensors c.safetensors");
+    let bytes = |name: &str| std::fs::read(folder.path(name)).unwrap();
+    assert!(bytes("a.safetensors") == bytes("b.safetensors"));
+    assert!(bytes("a.safetensors") == bytes("c.safetensors"));
+    for (arguments, word) in [
+        (format!("convert {} a.safetensors", fixture("plain.pt")), "--overwrite"),
+        (format!("convert {} a.pt", fixture("plain.pt")), ".safetensors"),
+        ("convert none.pt d.safetensors".to_owned(), "none.pt"),
+    ] {
+        let run = folder.run(&arguments);
+        assert_eq!(run.code, Some(1));
+        assert!(run.stderr.contains(word), "{}", run.stderr);
+    }
+    folder.succeed(&format!("convert {} a.safetensors --overwrite", fixture("plain.pt")));
+}
+
+#[test]
+fn bench_prints_its_result_last() {
+    let folder = with_run();
+    let weights = fixture("plain.pt");
+    let golden = format!("{}/../../fixtures/golden/net.npz", env!("CARGO_MANIFEST_DIR"));
+    for stage in ["step", "neighbors"] {
+        let run = folder.succeed(&format!(
+            "bench --state {golden} --weights {weights} --steps 2 --stage {stage} --tile 3 --threads 1"
+        ));
+        let result = run.last_json();
+        assert_eq!(result["particles"], 3 * 125);
+        assert_eq!((&result["stage"], &result["threads"]), (&stage.into(), &1.into()));
+        assert!(result["median_ms"].as_f64().unwrap() > 0.0);
+    }
+    let run = folder.run(&format!("bench --state out/fluid_0000.npz --weights {weights} --steps 2"));
+    assert_eq!(run.code, Some(1));
+    assert!(run.stderr.contains("fluid_0000.npz") && run.stderr.contains("box"), "{}", run.stderr);
+}
+
+#[test]
+fn completions_exist_for_every_shell() {
+    let folder = Folder::new();
+    for shell in ["bash", "zsh", "fish", "elvish", "powershell"] {
+        assert!(folder.succeed(&format!("completions {shell}")).stdout.contains("simulate"), "{shell}");
+    }
+    for arguments in ["--help", "simulate --help", "render --help", "bench --help", "inspect --help"] {
+        let help = folder.succeed(arguments).stdout;
+        assert!(help.contains("Usage"), "{arguments}");
+    }
+    assert!(folder.succeed("--version").stdout.starts_with("fluvia "));
+}
