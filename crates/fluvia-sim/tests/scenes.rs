@@ -506,6 +506,9 @@ const FULL_SCENE: &str = r#"{"walls": [{"shape": "container", "scale": [2, 1, 1]
     "viscosity": 0.01}]}"#;
 
 proptest! {
+    // Failing cases are kept as tests by hand.
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
+
     /// Any change of bytes gives a scene or an error of one line that names the file.
     #[test]
     fn mutated_scenes_are_scenes_or_errors(

@@ -9,7 +9,7 @@ use super::{Emitter, SampledWall, Setup};
 const AGAINST_WALL: f32 = 0.95;
 
 /// A wall particle stands for the wall this many radii around it: the gaps between Poisson disks are not wider.
-const WALL_DISK: f32 = 1.25;
+const WALL_DISK: f32 = 1.4;
 
 /// Particles nearer than this many spacings are in the same place: a solver throws them apart.
 const SAME_PLACE: f32 = 0.5;
