@@ -1,10 +1,20 @@
 //! Mesh files: the published models, one body in many guises, every kind of fault, and damage at random.
 
+#[path = "formats/memory.rs"]
+mod memory;
+
 use std::path::{Path, PathBuf};
 
 use fluvia_sim::mesh::{Format, TriangleMesh};
 use fluvia_sim::shapes::Shape;
 use proptest::prelude::*;
+
+/// The most memory that a parser may hold for a byte of its file. The shortest triangle is that of an OBJ file,
+/// 8 bytes; it takes 3 corners of 4 bytes, an end, a line number and 12 bytes in the mesh, twice while vectors grow.
+const BYTES_FOR_A_BYTE: usize = 64;
+
+/// What messages and small vectors take.
+const BYTES_FOR_A_FILE: usize = 16 << 10;
 
 /// The folder of reference data, or `None` with the reason printed.
 fn reference() -> Option<PathBuf> {
@@ -365,7 +375,10 @@ proptest! {
             4 => (ply(Ply { format: "binary_big_endian", coordinate: "double", ..binary }), Format::Ply),
             _ => (ply(Ply { format: "ascii", ..binary }), Format::Ply),
         };
-        match TriangleMesh::parse(&damaged(&bytes, &changes, length), format) {
+        let bytes = damaged(&bytes, &changes, length);
+        let (result, peak) = memory::peak_of(|| TriangleMesh::parse(&bytes, format));
+        prop_assert!(peak <= BYTES_FOR_A_BYTE * bytes.len() + BYTES_FOR_A_FILE, "{peak} bytes");
+        match result {
             Ok(mesh) => {
                 prop_assert!(mesh.positions.iter().flatten().all(|x| x.is_finite()));
                 prop_assert!(mesh.triangles.iter().flatten().all(|&v| (v as usize) < mesh.positions.len()));

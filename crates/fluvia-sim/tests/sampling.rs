@@ -62,8 +62,8 @@ fn poisson_disks_are_as_evenly_spread_as_those_of_open3d() {
     };
     let widest = neighbors.row_splits.windows(2).map(nearest).fold(0.0, f32::max);
     println!("the middle of the widest hole is {widest} m from the next point");
-    // The warning for fluid against a wall takes the points for disks of 1.4 radii.
-    assert!(widest < 1.4 * RADIUS, "{widest}");
+    // The warning for fluid against a wall takes the points for disks of 1.6 radii.
+    assert!(widest < 1.6 * RADIUS, "{widest}");
     // Each face has its share of the points. Its standard deviation would be 2 % for independent points; these
     // are far more even.
     let on_floor = walls.position.iter().filter(|x| x[1] == 0.0).count() as f64;
