@@ -3,7 +3,7 @@
 
 use crate::Options;
 use crate::aligned::AlignedVec;
-use crate::cpu::{InstructionSet, PANEL, Slabs};
+use crate::kernel::{InstructionSet, PANEL, Slabs};
 
 /// How the filter is looked up at a point between the centres of its cells.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

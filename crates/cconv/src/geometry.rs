@@ -10,8 +10,8 @@
 use fluvia_neighbors::{Neighbors, Point};
 use rayon::prelude::*;
 
-use crate::cpu::{InstructionSet, Kernel, Operation};
 use crate::filter::grid_coordinate;
+use crate::kernel::{InstructionSet, Kernel, Operation};
 use crate::{Interpolation, Mapping, Options, Window};
 
 /// Pairs in a block: the float32 lanes of the widest vector.

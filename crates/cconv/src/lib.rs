@@ -50,13 +50,15 @@ mod aligned;
 mod cpu;
 mod filter;
 mod geometry;
+mod kernel;
 mod mapping;
 pub mod reference;
 mod window;
 
-pub use cpu::{Columns, Dense, Kernel, Workspace, dense, forward, forward_into};
+pub use cpu::{Columns, Dense, Workspace, dense, forward, forward_into};
 pub use filter::{Filter, Interpolation};
 pub use geometry::{Extent, Geometry, PointSets};
+pub use kernel::Kernel;
 pub use mapping::Mapping;
 pub use window::Window;
 

@@ -5,7 +5,7 @@
 
 use std::f32::consts::FRAC_PI_4;
 
-use crate::cpu::InstructionSet;
+use crate::kernel::InstructionSet;
 
 /// How positions in the ball of radius R are mapped to the cube of the filter grid.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -94,7 +94,7 @@ fn arctan_over_quarter_turn<I: InstructionSet>(t: I::Vector) -> I::Vector {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cpu::Portable;
+    use crate::kernel::Portable;
 
     fn map(mapping: Mapping, p: [f32; 3]) -> [f32; 3] {
         mapping.apply::<Portable>(p.map(|x| [x; 4])).map(|lanes| lanes[0])

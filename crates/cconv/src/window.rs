@@ -1,6 +1,6 @@
 //! The window function a(x_i, x) of Eq. 8 and its alternatives of Table 5.
 
-use crate::cpu::InstructionSet;
+use crate::kernel::InstructionSet;
 
 /// The weight of a neighbour by its distance. With q the squared distance divided by R² (along each axis by
 /// its own R where the extent is anisotropic), every window but [`Window::None`] is 0 at R and beyond.

@@ -7,9 +7,10 @@
 
 use rayon::prelude::*;
 
-use super::{Columns, InstructionSet, Operation, Product, ROWS, Scratch, Workspace, with_scratch};
+use super::{Columns, Scratch, Workspace, with_scratch};
 use crate::filter::panels;
 use crate::geometry::{Block, LANES};
+use crate::kernel::{InstructionSet, Operation, Product, ROWS};
 use crate::{Filter, Geometry};
 
 /// Output points of a task: enough to pay for fetching the weights, few enough to balance two threads on

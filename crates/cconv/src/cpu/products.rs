@@ -4,17 +4,18 @@
 //! The number of multiplications is the same as through patches, but the interpolation reads out channels a
 //! pair and cell in place of in channels.
 
-use std::ops::Range;
+use std::sync::Mutex;
 
 use rayon::prelude::*;
 
-use super::{Columns, InstructionSet, Kernel, Operation, Product, ROWS, Scratch, Workspace, with_scratch};
+use super::{Columns, Scratch, Workspace, with_scratch};
 use crate::filter::panels;
 use crate::geometry::LANES;
+use crate::kernel::{InstructionSet, Kernel, Operation, Product, ROWS};
 use crate::{Filter, Geometry};
 
 /// Points of a task.
-pub const TASK_ROWS: usize = 16 * ROWS;
+const TASK_ROWS: usize = 16 * ROWS;
 
 /// How many pairs ahead the products of a neighbour are asked for.
 const PREFETCH_PAIRS: usize = 4;
@@ -30,22 +31,18 @@ pub fn forward(
     let width = filter.rows() * group;
     let Workspace { scratch, whole } = workspace;
     whole.reserve_len(geometry.inputs * width);
-    let whole = &mut whole[..geometry.inputs * width];
-    let rows = Rows { features, in_channels: filter.in_channels, packed: &filter.packed, columns: width };
-    let kernel: Kernel = geometry.kernel;
-    whole.par_chunks_mut(TASK_ROWS * width).enumerate().for_each(|(k, products)| {
-        with_scratch(scratch, |scratch| {
-            kernel.run(rows.with(k * TASK_ROWS, products, width, 0..width, &[], scratch));
-        });
-    });
+    let products = &mut whole[..geometry.inputs * width];
+    let rows =
+        Rows { features, in_channels: filter.in_channels, packed: &filter.packed, columns: width, bias: &[] };
+    multiply(rows, Columns { values: products, stride: width, first: 0 }, scratch, geometry.kernel);
     let Columns { values, stride, first } = output;
     values.par_chunks_mut(TASK_ROWS * stride).enumerate().for_each(|(k, rows)| {
         let output = Columns { values: rows, stride, first };
-        kernel.run(Gather { geometry, filter, group, products: whole, first_row: k * TASK_ROWS, output });
+        geometry.kernel.run(Gather { geometry, filter, group, products, first_row: k * TASK_ROWS, output });
     });
 }
 
-/// Rows of features times a packed matrix.
+/// Rows of features times a packed matrix, plus a bias.
 #[derive(Clone, Copy)]
 pub struct Rows<'a> {
     /// [points, in channels].
@@ -54,70 +51,67 @@ pub struct Rows<'a> {
     /// Panels [in channels, columns].
     pub packed: &'a [f32],
     pub columns: usize,
+    /// One value per column, or none.
+    pub bias: &'a [f32],
 }
 
-impl<'a> Rows<'a> {
-    /// The rows from `first_row` on, written to the given columns of `output`, as many as it has rows.
-    pub fn with(
-        self,
-        first_row: usize,
-        output: &'a mut [f32],
-        stride: usize,
-        columns: Range<usize>,
-        bias: &'a [f32],
-        scratch: &'a mut Scratch,
-    ) -> impl Operation {
-        RowsTask { rows: self, first_row, output, stride, columns, bias, scratch }
-    }
+/// Multiplies all rows.
+pub fn multiply(rows: Rows<'_>, output: Columns<'_>, scratch: &[Mutex<Scratch>], kernel: Kernel) {
+    let Columns { values, stride, first } = output;
+    values.par_chunks_mut(TASK_ROWS * stride).enumerate().for_each(|(k, values)| {
+        with_scratch(scratch, |scratch| {
+            let output = Columns { values, stride, first };
+            kernel.run(RowsTask { rows, first_row: k * TASK_ROWS, output, scratch });
+        });
+    });
 }
 
+/// The rows from `first_row` on, as many as `output` has.
 struct RowsTask<'a> {
     rows: Rows<'a>,
     first_row: usize,
-    output: &'a mut [f32],
-    stride: usize,
-    columns: Range<usize>,
-    bias: &'a [f32],
+    output: Columns<'a>,
     scratch: &'a mut Scratch,
 }
 
 impl Operation for RowsTask<'_> {
     #[inline(always)]
     fn run<I: InstructionSet>(self) {
-        let Rows { features, in_channels: depth, packed, columns } = self.rows;
+        let Rows { features, in_channels: depth, packed, columns, bias } = self.rows;
+        let Columns { values, stride, first } = self.output;
         let width = columns.next_multiple_of(16);
         let Scratch { patches, sums } = self.scratch;
         patches.reserve_len(ROWS * depth);
         sums.reserve_len(ROWS * width);
-        let count = self.output.len() / self.stride;
+        let count = values.len() / stride;
         for block in (0..count).step_by(ROWS) {
             let live = ROWS.min(count - block);
-            let first = (self.first_row + block) * depth;
-            let a = match features.get(first..first + ROWS * depth) {
+            let start = (self.first_row + block) * depth;
+            let a = match features.get(start..start + ROWS * depth) {
                 Some(rows) => rows,
                 None => {
-                    patches[..live * depth].copy_from_slice(&features[first..first + live * depth]);
+                    patches[..live * depth].copy_from_slice(&features[start..start + live * depth]);
                     &*patches
                 }
             };
             sums[..ROWS * width].fill(0.0);
-            for (first, panel) in panels(columns) {
+            for (column, panel) in panels(columns) {
                 I::multiply(Product {
                     rows: live,
                     depth,
                     width: panel,
                     a,
                     a_stride: depth,
-                    b: &packed[depth * first..],
-                    c: &mut sums[first..],
+                    b: &packed[depth * column..],
+                    c: &mut sums[column..],
                     c_stride: width,
                 });
             }
-            let rows = self.output[block * self.stride..].chunks_exact_mut(self.stride);
+            let rows = values[block * stride..].chunks_exact_mut(stride);
             for (row, sums) in rows.zip(sums.chunks_exact(width)).take(live) {
-                let row = &mut row[self.columns.clone()];
+                let row = &mut row[first..first + columns];
                 row.copy_from_slice(&sums[..columns]);
-                for (value, bias) in row.iter_mut().zip(self.bias) {
+                for (value, bias) in row.iter_mut().zip(bias) {
                     *value += bias;
                 }
             }

@@ -8,8 +8,9 @@ use super::{Emitter, SampledWall, Setup};
 /// one radius away, or less by rounding.
 const AGAINST_WALL: f32 = 0.95;
 
-/// A wall particle stands for the wall this many radii around it: the gaps between Poisson disks are not wider.
-const WALL_DISK: f32 = 1.25;
+/// A wall particle stands for the wall this many radii around it: a little more than half of the widest gaps
+/// between Poisson disks.
+const WALL_DISK: f32 = 1.6;
 
 /// Particles nearer than this many spacings are in the same place: a solver throws them apart.
 const SAME_PLACE: f32 = 0.5;

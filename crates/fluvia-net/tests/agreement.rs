@@ -1,0 +1,138 @@
+//! The solver against its float64 reference: every kernel, both integrations, with and without the viscosity as an
+//! input, accelerations of each particle, and awkward numbers of particles.
+
+use cconv::Kernel;
+use fluvia_net::config::{Config, Integration};
+use fluvia_net::reference::{self, State};
+use fluvia_net::solver::NetSolver;
+use fluvia_net::weights::Weights;
+use fluvia_sim::particles::{Acceleration, Boundary, Particles};
+use fluvia_sim::rollout::Solver;
+
+/// Numbers in −1..1 that look random and are the same everywhere.
+struct Numbers(u32);
+
+impl Numbers {
+    fn next(&mut self) -> f32 {
+        self.0 = self.0.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (self.0 >> 8) as f32 / (1 << 23) as f32 - 1.0
+    }
+
+    fn point(&mut self, scale: f32) -> [f32; 3] {
+        std::array::from_fn(|_| scale * self.next())
+    }
+}
+
+fn weights(integration: Integration, extra_inputs: &[&str], numbers: &mut Numbers) -> Weights {
+    let extra_inputs = extra_inputs.iter().map(|name| (*name).to_owned()).collect();
+    let config = Config { integration, extra_inputs, filter_size: [3, 4, 2], ..Config::default() };
+    let mut weights = Weights::zeros(config, 5, &[7, 7]);
+    let Weights { obstacle, fluid, fluid_dense, layers, .. } = &mut weights;
+    let convolutions =
+        [obstacle, fluid].into_iter().chain(layers.iter_mut().map(|layer| &mut layer.convolution));
+    for convolution in convolutions {
+        convolution.kernel.iter_mut().chain(&mut convolution.bias).for_each(|w| *w = 0.3 * numbers.next());
+    }
+    for layer in layers.iter_mut() {
+        layer.dense.weight.iter_mut().chain(&mut layer.dense.bias).for_each(|w| *w = 0.3 * numbers.next());
+    }
+    fluid_dense.weight.iter_mut().chain(&mut fluid_dense.bias).for_each(|w| *w = 0.3 * numbers.next());
+    weights
+}
+
+fn particles(count: usize, numbers: &mut Numbers) -> Particles {
+    Particles {
+        position: (0..count).map(|_| numbers.point(0.15)).collect(),
+        velocity: (0..count).map(|_| numbers.point(1.0)).collect(),
+        id: (0..count as u32).collect(),
+        body: (0..count as u32).map(|i| i % 2).collect(),
+    }
+}
+
+#[test]
+fn a_step_equals_the_reference() {
+    let mut numbers = Numbers(1);
+    // The first body has a viscosity of its own, the second that of the weights.
+    let viscosity = [Some(0.25), None];
+    for (integration, extra_inputs) in [
+        (Integration::Paper, vec![]),
+        (Integration::Paper, vec!["viscosity"]),
+        (Integration::Velocity, vec![]),
+        (Integration::Velocity, vec!["viscosity"]),
+    ] {
+        let weights = weights(integration, &extra_inputs, &mut numbers);
+        let dt = weights.config.dt;
+        for count in [0, 1, 13, 90] {
+            let start = particles(count, &mut numbers);
+            let boundary = Boundary {
+                position: (0..40).map(|_| numbers.point(0.2)).collect(),
+                normal: (0..40).map(|_| numbers.point(1.0)).collect(),
+            };
+            let accelerations: Vec<[f32; 3]> = (0..count).map(|_| numbers.point(9.81)).collect();
+            let acceleration = Acceleration::PerParticle(&accelerations);
+            let wide = |values: &[[f32; 3]]| values.iter().map(|v| v.map(f64::from)).collect();
+            let state = State { position: wide(&start.position), velocity: wide(&start.velocity) };
+            let extra: Vec<f64> = start
+                .body
+                .iter()
+                .map(|&body| f64::from(viscosity[body as usize].unwrap_or(weights.config.viscosity)))
+                .filter(|_| !extra_inputs.is_empty())
+                .collect();
+            let expected = reference::step(&weights, &state, &extra, &boundary, acceleration);
+            for kernel in Kernel::available() {
+                let mut moved = start.clone();
+                let mut solver = NetSolver::new(&weights, &boundary, &viscosity, kernel).unwrap();
+                // Twice, so that what is left in the memory of the first step would show.
+                solver.step(&mut moved.clone(), acceleration, dt).unwrap();
+                solver.step(&mut moved, acceleration, dt).unwrap();
+                let pairs = moved.position.iter().flatten().zip(expected.position.iter().flatten());
+                let error = pairs.map(|(a, b)| (f64::from(*a) - b).abs()).fold(0.0, f64::max);
+                // Float32 positions below 0.3 m, and corrections of some centimetres computed in float32.
+                assert!(error < 1e-6, "{integration:?} {count} {}: off by {error:.1e} m", kernel.name());
+                let pairs = moved.velocity.iter().flatten().zip(expected.velocity.iter().flatten());
+                let error = pairs.map(|(a, b)| (f64::from(*a) - b).abs()).fold(0.0, f64::max);
+                assert!(error < 1e-4, "{integration:?} {count} {}: off by {error:.1e} m/s", kernel.name());
+            }
+        }
+    }
+}
+
+#[test]
+fn rollouts_are_the_same_bits_at_any_number_of_threads() {
+    let mut numbers = Numbers(2);
+    let weights = weights(Integration::Paper, &[], &mut numbers);
+    let start = particles(700, &mut numbers);
+    let boundary = Boundary {
+        position: (0..300).map(|_| numbers.point(0.2)).collect(),
+        normal: (0..300).map(|_| numbers.point(1.0)).collect(),
+    };
+    let run = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| {
+            let mut particles = start.clone();
+            let mut solver = NetSolver::new(&weights, &boundary, &[None, None], Kernel::detect()).unwrap();
+            for _ in 0..3 {
+                let gravity = Acceleration::Uniform([0.0, -9.81, 0.0]);
+                solver.step(&mut particles, gravity, weights.config.dt).unwrap();
+            }
+            particles
+        })
+    };
+    let one = run(1);
+    assert!(one.position.iter().flatten().all(|x| x.is_finite()));
+    for threads in [2, 3] {
+        assert!(one == run(threads), "{threads} threads");
+    }
+}
+
+#[test]
+fn another_time_step_or_input_is_refused() {
+    let mut numbers = Numbers(3);
+    let good = weights(Integration::Paper, &[], &mut numbers);
+    let mut solver = NetSolver::new(&good, &Boundary::default(), &[None], Kernel::detect()).unwrap();
+    let error = solver.step(&mut Particles::default(), Acceleration::Uniform([0.0; 3]), 0.01).unwrap_err();
+    assert_eq!(error.to_string(), "dt: 0.01 s, but the weights were made for steps of 0.02 s");
+    let heat = weights(Integration::Paper, &["temperature"], &mut numbers);
+    let error = NetSolver::new(&heat, &Boundary::default(), &[None], Kernel::detect()).unwrap_err();
+    assert!(error.to_string().contains("temperature"), "{error}");
+}
