@@ -158,6 +158,9 @@ fn a_state_that_contradicts_itself_is_an_error() {
     let mut short = good.clone();
     short.particles.velocity.pop();
     assert!(matches!(Rollout::resume(&setup, short), Err(Error::Parameter(_))));
+    let mut stranger = good.clone();
+    stranger.particles.body[0] = setup.emitters.len() as u32;
+    assert!(matches!(Rollout::resume(&setup, stranger), Err(Error::Parameter(_))));
     let reused = State { next_id: 3, ..good };
     assert!(matches!(Rollout::resume(&setup, reused), Err(Error::Parameter(_))));
 }

@@ -251,9 +251,7 @@ impl Run {
             .map_or((DEFAULT_DT, DEFAULT_PARTICLE_RADIUS, [0.0, -1.0, 0.0]), |record| {
                 (record.dt, record.particle_radius, record.gravity)
             });
-        // Without gravity y is up, as everywhere.
-        let length = gravity.iter().map(|g| g * g).sum::<f32>().sqrt();
-        let up = if length > 0.0 { gravity.map(|g| -g / length) } else { [0.0, 1.0, 0.0] };
+        let up = against(gravity);
         let walls = run::read_walls(&path)?.unwrap_or_default();
         let mut opened =
             Run { label, path, frames: numbers, walls, outside: None, dt: f64::from(dt), radius, up };
@@ -284,6 +282,12 @@ impl Run {
     }
 }
 
+/// The unit vector against gravity; without gravity y is up, as everywhere.
+fn against(gravity: [f32; 3]) -> [f32; 3] {
+    let length = gravity.iter().map(|g| g * g).sum::<f32>().sqrt();
+    if length > 0.0 { gravity.map(|g| -g / length) } else { [0.0, 1.0, 0.0] }
+}
+
 /// The particles of one frame and what colours them.
 struct Moment {
     index: u64,
@@ -305,5 +309,24 @@ impl Moment {
             label: format!("frame {}", self.index),
             note: format!("{:.2} s", self.index as f64 * dt),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn heights_are_metres_whatever_the_gravity() {
+        for (gravity, height) in [([0.0, -9.81, 0.0], 2.0), ([0.0; 3], 2.0), ([0.0, 0.0, -0.5], 3.0)] {
+            assert_eq!(heights(&[[1.0, 2.0, 3.0]], against(gravity)), [height]);
+        }
+    }
+
+    #[test]
+    fn frames_are_spread_from_the_first_to_the_last() {
+        assert_eq!(spread(&[0, 1, 2, 3, 4], 3), [0, 2, 4]);
+        assert_eq!(spread(&[3, 7], 8), [3, 7]);
+        assert_eq!(spread(&[3, 7], 1), [3]);
     }
 }

@@ -51,11 +51,19 @@ fn runs_are_the_same_bytes_at_any_number_of_threads() {
 #[test]
 fn a_killed_run_goes_on_to_the_same_bytes() {
     let folder = Folder::new();
-    folder.write("scene.json", SCENE);
+    // Beside the block a body that falls out of the scene, and one that arrives in parts.
+    let falls = r#""shape": "box", "scale": 0.1, "translation": [3, 0.3, 0]"#;
+    let arrives = r#""shape": "box", "scale": [0.2, 0.05, 0.2], "translation": [0, 0.6, 0], "velocity": [0, -2, 0],
+        "start": 7, "stop": 90, "step": 20"#;
+    folder.write("scene.json", SCENE.replace("}]\n}", &format!("}}, {{{falls}}}, {{{arrives}}}]\n}}")));
     for solver in solvers() {
         let arguments =
             |out: &str| format!("simulate scene.json {solver} --steps 120 --out {out} --quiet {FORMATS}");
         folder.succeed(&format!("{} --overwrite", arguments("whole")));
+        let last = folder.succeed("inspect whole/fluid_0120.npz --json").last_json();
+        // The small network has weights at random, which may well hold up what should fall.
+        let particles = last["particles"].as_u64().unwrap();
+        assert!(particles == 64 + 5 * 16 || !solver.contains("pbf"), "{solver}: {particles} particles");
         // Moments spread over a run, the first before anything is on disk.
         for k in 0..20u64 {
             let mut command = folder.command(&format!("{} --resume", arguments("killed")));
@@ -120,6 +128,58 @@ fn resuming_another_run_is_refused() {
     assert_eq!(std::fs::read(folder.path("out/notes.txt")).unwrap(), b"mine");
     std::fs::remove_file(folder.path("out/notes.txt")).unwrap();
     assert!(folder.files("out") == extended);
+}
+
+#[test]
+fn frames_that_are_no_run_are_never_replaced() {
+    let folder = Folder::new();
+    folder.write("scene.json", SCENE);
+    folder.succeed("simulate scene.json --steps 2 --out out");
+    std::fs::remove_file(folder.path("out/state.npz")).unwrap();
+    let before = folder.files("out");
+    // Another run without a state file, then frames of whoever made them.
+    let other = "simulate scene.json --steps 4 --out out --resume --seed 1";
+    let same = "simulate scene.json --steps 4 --out out --resume";
+    let refused = |arguments: &str, word: &str| {
+        let run = folder.run(arguments);
+        assert_eq!(run.code, Some(1), "{arguments}: {}", run.stderr);
+        assert!(run.stderr.contains(word), "{}", run.stderr);
+        assert!(folder.files("out") == before, "{arguments}: changed the files");
+    };
+    refused(other, "another");
+    let record = std::fs::read(folder.path("out/run.json")).unwrap();
+    std::fs::remove_file(folder.path("out/run.json")).unwrap();
+    refused(same, "run.json");
+    // The record of this very run says that it was killed before its first state.
+    folder.write("out/run.json", record);
+    folder.succeed(same);
+    folder.succeed("simulate scene.json --steps 4 --out whole");
+    assert!(folder.files("out") == folder.files("whole"));
+}
+
+#[test]
+fn where_a_run_goes_by_default() {
+    let folder = Folder::new();
+    folder.write("scene.json", SCENE);
+    folder.succeed("simulate scene.json --steps 1");
+    assert!(folder.path("out/scene/fluid_0001.npz").exists());
+    // A directory of the name of a shipped scene does not hide the scene.
+    folder.succeed("simulate dam_break --steps 0 --out dam_break");
+    folder.succeed("simulate dam_break --steps 0 --out dam_break --resume");
+}
+
+#[test]
+fn a_damaged_state_is_an_error() {
+    let folder = Folder::new();
+    folder.write("scene.json", SCENE);
+    folder.succeed("simulate scene.json --steps 2 --out out");
+    let whole = std::fs::read(folder.path("out/state.npz")).unwrap();
+    folder.write("out/state.npz", &whole[..whole.len() / 2]);
+    let run = folder.run("simulate scene.json --steps 4 --out out --resume");
+    assert_eq!(run.code, Some(1));
+    assert!(run.stderr.starts_with("error: out/state.npz: "), "{}", run.stderr);
+    assert_eq!(run.stderr.lines().count(), 1);
+    assert!(!folder.path("out/fluid_0003.npz").exists());
 }
 
 #[test]

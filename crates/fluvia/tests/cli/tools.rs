@@ -1,5 +1,7 @@
 //! The commands beside `simulate`: render, inspect, convert, bench, completions.
 
+use std::process::Stdio;
+
 use crate::common::{Folder, SCENE, fixture};
 
 /// A folder with a short run in `out`.
@@ -80,7 +82,12 @@ fn inspect_says_what_is_in_each_kind_of_file() {
         assert!(text.lines().count() >= 4, "{path}: {text}");
     }
     folder.write("notes.txt", "mine");
-    for (path, word) in [("none.pt", "No such file"), ("notes.txt", "expected"), (".", "no frames")] {
+    for (path, word) in [
+        ("none.pt", "No such file"),
+        ("none.xyz", "No such file"),
+        ("notes.txt", "expected"),
+        (".", "no frames"),
+    ] {
         let run = folder.run(&format!("inspect {path}"));
         assert_eq!(run.code, Some(1));
         assert!(run.stderr.starts_with("error: ") && run.stderr.contains(word), "{}", run.stderr);
@@ -122,6 +129,9 @@ fn bench_prints_its_result_last() {
         assert_eq!((&result["stage"], &result["threads"]), (&stage.into(), &1.into()));
         assert!(result["median_ms"].as_f64().unwrap() > 0.0);
     }
+    let run = folder.run(&format!("bench --state {golden} --weights {weights} --tile 1000000000"));
+    assert_eq!(run.code, Some(1));
+    assert!(run.stderr.contains("tiles") && run.stderr.contains("at most"), "{}", run.stderr);
     let run = folder.run(&format!("bench --state out/fluid_0000.npz --weights {weights} --steps 2"));
     assert_eq!(run.code, Some(1));
     assert!(run.stderr.contains("fluid_0000.npz") && run.stderr.contains("box"), "{}", run.stderr);
@@ -133,6 +143,12 @@ fn completions_exist_for_every_shell() {
     for shell in ["bash", "zsh", "fish", "elvish", "powershell"] {
         assert!(folder.succeed(&format!("completions {shell}")).stdout.contains("simulate"), "{shell}");
     }
+    // A reader that has seen enough, as `head` does.
+    let mut command = folder.command("completions bash");
+    let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    drop(child.stdout.take());
+    let output = child.wait_with_output().unwrap();
+    assert_eq!((output.status.code(), String::from_utf8_lossy(&output.stderr).as_ref()), (Some(0), ""));
     for arguments in ["--help", "simulate --help", "render --help", "bench --help", "inspect --help"] {
         let help = folder.succeed(arguments).stdout;
         assert!(help.contains("Usage"), "{arguments}");
