@@ -18,6 +18,10 @@ const PLANES: usize = 3;
 /// half of that apart, so a position near a wall has some in reach.
 const REACH: f32 = 0.5;
 
+/// A piece reaches this far along its plane, in support radii. The middle of the widest hole between samples is nearly
+/// as far from them; beyond the edge of a face its plane means nothing.
+const PIECE: f32 = 0.375;
+
 /// Two pieces are one plane if they lie this near to each other's, in reaches; the nearer then stands for both.
 const FLAT: f32 = 1e-3;
 
@@ -35,6 +39,8 @@ pub struct Walls {
     clearance: f32,
     /// Wall particles farther than this from a position do not act on it, metres.
     reach: f32,
+    /// How far a piece reaches along its plane, metres.
+    piece: f32,
 }
 
 impl Walls {
@@ -48,6 +54,7 @@ impl Walls {
             grid,
             clearance,
             reach: REACH * kernel.support(),
+            piece: PIECE * kernel.support(),
         }
     }
 
@@ -88,17 +95,26 @@ impl Walls {
         position
     }
 
-    /// The nearest wall particle within reach; the first of `near` among equals.
+    /// The squared distance of a wall particle that acts on the position: it is within reach, and its piece of the
+    /// wall lies below the position.
+    fn acting(&self, position: Vector, b: usize) -> Option<f32> {
+        let offset = sub(position, self.position[b]);
+        let squared = dot(offset, offset);
+        let along = squared - dot(offset, self.normal[b]).powi(2);
+        (squared < self.reach * self.reach && along <= self.piece * self.piece).then_some(squared)
+    }
+
+    /// The nearest wall particle that acts; the first of `near` among equals.
     fn nearest(&self, position: Vector, near: &[u32]) -> Option<usize> {
-        let mut best = (self.reach * self.reach, None);
-        for &b in near {
-            let offset = sub(position, self.position[b as usize]);
-            let squared = dot(offset, offset);
-            if squared < best.0 {
-                best = (squared, Some(b as usize));
+        let mut best: Option<(f32, usize)> = None;
+        for b in near.iter().map(|&b| b as usize) {
+            if let Some(squared) = self.acting(position, b)
+                && best.is_none_or(|(least, _)| squared < least)
+            {
+                best = Some((squared, b));
             }
         }
-        best.1
+        best.map(|(_, b)| b)
     }
 
     /// The plane to move along and how far. On a ridge that is the plane with the shortest way out, in a hollow
@@ -110,8 +126,7 @@ impl Walls {
         let mut deepest = (0.0, None);
         for &b in near {
             let b = b as usize;
-            let offset = sub(position, self.position[b]);
-            if dot(offset, offset) >= self.reach * self.reach {
+            if self.acting(position, b).is_none() {
                 continue;
             }
             let edge = sub(self.position[b], self.position[nearest]);
@@ -165,6 +180,12 @@ mod tests {
                 assert_eq!(walls.keep_clear(position, &all), position);
             }
         }
+        // Above the upper face, where of all pieces only one of the side is in reach: it ends far below.
+        let position = [-0.005, 0.048, 0.0];
+        assert_eq!(walls.keep_clear(position, &all), position);
+        // In front of the side, where the upper face has ended.
+        let position = [0.042, -0.02, 0.0];
+        assert_eq!(walls.keep_clear(position, &all), position);
         // In front of the side, a little too near.
         assert_eq!(walls.keep_clear([0.01, -0.03, 0.0], &all), [0.0125, -0.03, 0.0]);
     }
