@@ -197,7 +197,9 @@ fn simulate(args: &Args, report: &Report, prepared: Prepared) -> Result<ExitCode
         let step = rollout.advance(solver.as_mut())?;
         seconds += start.elapsed().as_secs_f64();
         resume::write(&mut directory, rollout.state())?;
-        bar.suspend(|| warned.tell(&step, report));
+        for warning in warned.new_ones(&step) {
+            bar.suspend(|| report.warning(warning));
+        }
         let milliseconds = 1e3 * seconds / (step.frame - first_step) as f64;
         bar.set_message(format!("{} particles, {milliseconds:.1} ms a step", step.particles));
         bar.set_position(step.frame);
@@ -232,27 +234,24 @@ struct Warned {
 }
 
 impl Warned {
-    fn tell(&mut self, step: &StepReport, report: &Report) {
+    /// The warnings that this step gives for the first time.
+    fn new_ones(&mut self, step: &StepReport) -> Vec<String> {
+        let frame = step.frame;
+        let mut warnings = Vec::new();
         if step.outside > 0 && !std::mem::replace(&mut self.outside, true) {
-            report.warning(format_args!(
-                "step {}: {} outside the walls",
-                step.frame,
-                counted(step.outside, "particle")
-            ));
+            warnings.push(format!("step {frame}: {} outside the walls", counted(step.outside, "particle")));
         }
         if step.removed > 0 && !std::mem::replace(&mut self.removed, true) {
-            report.warning(format_args!(
-                "step {}: {} removed, fallen out of the scene",
-                step.frame,
-                counted(step.removed, "particle")
-            ));
+            let particles = counted(step.removed, "particle");
+            warnings.push(format!("step {frame}: {particles} removed, fallen out of the scene"));
         }
         if step.piled_up && !std::mem::replace(&mut self.piled_up, true) {
-            report.warning(format_args!(
-                "step {}: particles pile up: one has {} neighbours within {} m",
-                step.frame, step.solver.max_neighbors, step.solver.neighbor_radius
+            warnings.push(format!(
+                "step {frame}: particles pile up: one has {} neighbours within {} m",
+                step.solver.max_neighbors, step.solver.neighbor_radius
             ));
         }
+        warnings
     }
 }
 
@@ -267,7 +266,8 @@ fn progress_bar(steps: u64, first: u64, report: &Report) -> ProgressBar {
         return ProgressBar::hidden();
     }
     let bar = ProgressBar::new(steps);
-    let template = "{bar:30} step {pos}/{len}, {msg}, {eta} left";
+    // Fits the 80 columns of a plain terminal up to millions of particles.
+    let template = "{bar:16} step {pos}/{len}, {msg}, {eta} left";
     bar.set_style(ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar()));
     bar.set_position(first);
     bar.reset_eta();
