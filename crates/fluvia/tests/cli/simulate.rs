@@ -85,7 +85,9 @@ fn control_c_leaves_whole_frames() {
     folder.write("scene.json", SCENE);
     let mut command = folder.command("simulate scene.json --steps 100000 --out out");
     let child = command.stderr(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
+    let start = std::time::Instant::now();
     while !folder.path("out/fluid_0003.npz").exists() {
+        assert!(start.elapsed() < Duration::from_secs(60), "no frames after a minute");
         std::thread::sleep(Duration::from_millis(5));
     }
     let pid = child.id().to_string();
