@@ -31,8 +31,9 @@ pub const DEFAULT_DT: f32 = 0.02;
 /// Particle radius where a scene says nothing, metres: that of the published data.
 pub const DEFAULT_PARTICLE_RADIUS: f32 = 0.025;
 
-/// The largest scene file that is read: scenes are written by hand and refer to what is large.
-const MAX_BYTES: u64 = 16 << 20;
+/// The largest scene file that is read, bytes: scenes refer to what is large. JSON takes up to 40 times as much
+/// memory as its text.
+const MAX_BYTES: u64 = 4 << 20;
 
 /// The scenes that come with the program, by name.
 const SHIPPED: [(&str, &str); 3] = [

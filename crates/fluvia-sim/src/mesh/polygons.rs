@@ -5,8 +5,8 @@ use std::collections::HashMap;
 use super::TriangleMesh;
 use super::geometry::{Vec3, cross, dot, scaled, sub};
 
-/// Polygons with more corners than this are cut as a fan: searching for ears takes time with the square of
-/// their number or worse.
+/// Polygons with more corners than this are cut as a fan, which is right for convex ones: searching for ears takes
+/// time with the square of their number.
 const MAX_EAR_CORNERS: usize = 1000;
 
 /// What a parser makes of a file.
@@ -77,31 +77,49 @@ fn triangulate(polygon: &mut Vec<u32>, positions: &[[f32; 3]], triangles: &mut V
     }
 }
 
-/// Cuts off one ear after the other: a corner that turns left with no other vertex in its triangle.
+/// Cuts off one ear after the other: a corner that turns left with no other vertex in its triangle. An ear cut
+/// off changes its two neighbours only (Eberly, "Triangulation by Ear Clipping"), so that the time grows with
+/// the square of the number of corners.
 /// `turn(a, b, c)` is positive if the path from a by b to c turns left.
 fn clip_ears(
     polygon: &mut Vec<u32>,
     turn: impl Fn(u32, u32, u32) -> f64,
     emit: &mut impl FnMut(u32, u32, u32),
 ) {
-    while polygon.len() > 3 {
+    let corner = |polygon: &[u32], i: usize| {
         let n = polygon.len();
-        let corner = |i: usize| (polygon[(i + n - 1) % n], polygon[i], polygon[(i + 1) % n]);
-        let is_ear = |&i: &usize| {
-            let (a, b, c) = corner(i);
-            let covers = |&&v: &&u32| {
-                ![a, b, c].contains(&v)
-                    && turn(a, b, v) >= 0.0
-                    && turn(b, c, v) >= 0.0
-                    && turn(c, a, v) >= 0.0
-            };
-            turn(a, b, c) > 0.0 && polygon.iter().find(covers).is_none()
+        (polygon[(i + n - 1) % n], polygon[i], polygon[(i + 1) % n])
+    };
+    let turns_left = |polygon: &[u32], i: usize| {
+        let (a, b, c) = corner(polygon, i);
+        turn(a, b, c) > 0.0
+    };
+    let is_ear = |polygon: &[u32], i: usize| {
+        let (a, b, c) = corner(polygon, i);
+        let covers = |&v: &u32| {
+            ![a, b, c].contains(&v)
+                && turn(a, b, v) >= 0.0
+                && turn(b, c, v) >= 0.0
+                && turn(c, a, v) >= 0.0
         };
-        // A polygon that crosses itself can be without ears: any corner will do then.
-        let ear = (0..n).find(is_ear).unwrap_or(0);
-        let (a, b, c) = corner(ear);
+        turns_left(polygon, i) && !polygon.iter().any(covers)
+    };
+    let mut ears: Vec<bool> = (0..polygon.len()).map(|i| is_ear(polygon, i)).collect();
+    while polygon.len() > 3 {
+        // A polygon that crosses itself can be without ears: any corner that turns left will do then.
+        let ear = ears
+            .iter()
+            .position(|&is_ear| is_ear)
+            .or_else(|| (0..polygon.len()).find(|&i| turns_left(polygon, i)))
+            .unwrap_or(0);
+        let (a, b, c) = corner(polygon, ear);
         emit(a, b, c);
         polygon.remove(ear);
+        ears.remove(ear);
+        let n = polygon.len();
+        for neighbor in [(ear + n - 1) % n, ear % n] {
+            ears[neighbor] = is_ear(polygon, neighbor);
+        }
     }
     if let [a, b, c] = polygon[..] {
         emit(a, b, c);

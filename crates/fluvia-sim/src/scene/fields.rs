@@ -68,8 +68,14 @@ impl<'a> Fields<'a> {
 
     pub(super) fn text(&self, key: &str, what: &str) -> Parsed<Option<&'a str>> {
         match self.get(key) {
-            Some(Node::Text(text)) if !text.is_empty() => Ok(Some(text)),
-            Some(Node::Text(_)) => Err(format!("`{}`: empty, expected {what}", self.at(key))),
+            Some(Node::Text(text)) if text.is_empty() => {
+                Err(format!("`{}`: empty, expected {what}", self.at(key)))
+            }
+            // It comes back in messages, which are one line.
+            Some(Node::Text(text)) if text.contains(char::is_control) => {
+                Err(format!("`{}`: `{}`, expected {what}", self.at(key), text.escape_debug()))
+            }
+            Some(Node::Text(text)) => Ok(Some(text)),
             Some(node) => self.wrong(key, node, what),
             None => Ok(None),
         }

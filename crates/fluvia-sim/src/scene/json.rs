@@ -22,12 +22,18 @@ impl Node {
         match self {
             Node::Null => "null".into(),
             Node::Flag(flag) => flag.to_string(),
-            Node::Number(number) => number.to_string(),
+            Node::Number(number) => describe_number(*number),
             Node::Text(_) => "a text".into(),
             Node::List(list) => format!("a list of {}", list.len()),
             Node::Object(_) => "an object".into(),
         }
     }
+}
+
+/// The number as it would be written by hand.
+fn describe_number(number: f64) -> String {
+    let size = number.abs();
+    if size == 0.0 || (1e-6..1e15).contains(&size) { number.to_string() } else { format!("{number:e}") }
 }
 
 /// Reads JSON; a byte order mark may come first.
@@ -48,8 +54,9 @@ fn syntax_error(text: &str, error: &serde_json::Error) -> String {
     let (line, column) = (error.line(), error.column());
     let message = error.to_string();
     let message = message.split(" at line ").next().unwrap_or_default();
-    let content = text.lines().nth(line.saturating_sub(1)).unwrap_or_default().trim_start();
-    let is_comment = ["//", "/*", "#"].iter().any(|mark| content.starts_with(mark));
+    let content = text.lines().nth(line.saturating_sub(1)).unwrap_or_default();
+    let found = content.get(column.saturating_sub(1)..).unwrap_or_default();
+    let is_comment = ["//", "/*", "#"].iter().any(|mark| found.starts_with(mark));
     let hint = if is_comment { " (JSON has no comments)" } else { "" };
     format!("line {line}, column {column}: {message}{hint}")
 }

@@ -29,25 +29,32 @@ impl Default for Placement {
 }
 
 impl Placement {
-    /// Scales and rotates a position about the origin.
-    pub(super) fn turn(&self, x: Vec3) -> Vec3 {
-        self.rotate([0, 1, 2].map(|k| x[k] * factor(self.scale[k])))
+    /// What scales and rotates a position about the origin.
+    pub(super) fn turn(&self) -> impl Fn(Vec3) -> Vec3 {
+        let (factors, rotate) = (self.scale.map(factor), self.rotate());
+        move |x| rotate([0, 1, 2].map(|k| x[k] * factors[k]))
     }
 
-    /// Rotates a velocity.
-    pub(super) fn rotate(&self, v: Vec3) -> Vec3 {
-        let Some(rotation) = self.rotation else { return v };
-        // Rodrigues' formula: v cos + (axis × v) sin + axis (axis · v) (1 - cos).
-        let axis = unit(rotation.axis.map(f64::from));
-        let (sin, cos) = sin_cos_degrees(rotation.angle.into());
-        let (turned, along) = (cross(axis, v), dot(axis, v) * (1.0 - cos));
-        [0, 1, 2].map(|k| v[k] * cos + turned[k] * sin + axis[k] * along)
+    /// What rotates a velocity.
+    pub(super) fn rotate(&self) -> impl Fn(Vec3) -> Vec3 {
+        let turn = self.rotation.map(|rotation| {
+            (unit(rotation.axis.map(f64::from)), sin_cos_degrees(rotation.angle.into()))
+        });
+        move |v| {
+            let Some((axis, (sin, cos))) = turn else { return v };
+            // Rodrigues' formula: v cos + (axis × v) sin + axis (axis · v) (1 - cos).
+            let (turned, along) = (cross(axis, v), dot(axis, v) * (1.0 - cos));
+            [0, 1, 2].map(|k| v[k] * cos + turned[k] * sin + axis[k] * along)
+        }
     }
 
-    /// The unit normal after scaling and rotating a surface with normal `n`; `None` if `n` has no direction.
-    pub(super) fn turn_normal(&self, n: Vec3) -> Option<Vec3> {
-        let normal = self.rotate([0, 1, 2].map(|k| n[k] / factor(self.scale[k])));
-        (dot(normal, normal) > 0.0).then(|| unit(normal))
+    /// What gives the unit normal after scaling and rotating a surface; `None` for a normal without direction.
+    pub(super) fn turn_normal(&self) -> impl Fn(Vec3) -> Option<Vec3> {
+        let (factors, rotate) = (self.scale.map(factor), self.rotate());
+        move |n| {
+            let normal = rotate([0, 1, 2].map(|k| n[k] / factors[k]));
+            (dot(normal, normal) > 0.0).then(|| unit(normal))
+        }
     }
 
     /// Moves a position that was turned.
@@ -92,14 +99,14 @@ mod tests {
 
     #[test]
     fn quarter_turns_are_exact_and_right_handed() {
-        assert_eq!(about([0.0, 0.0, 2.0], 90.0).turn([1.0, 0.0, 5.0]), [0.0, 1.0, 5.0]);
-        assert_eq!(about([0.0, 1.0, 0.0], -90.0).turn([1.0, 2.0, 0.0]), [0.0, 2.0, 1.0]);
-        assert_eq!(about([1.0, 0.0, 0.0], 540.0).turn([1.0, 2.0, 3.0]), [1.0, -2.0, -3.0]);
+        assert_eq!(about([0.0, 0.0, 2.0], 90.0).turn()([1.0, 0.0, 5.0]), [0.0, 1.0, 5.0]);
+        assert_eq!(about([0.0, 1.0, 0.0], -90.0).turn()([1.0, 2.0, 0.0]), [0.0, 2.0, 1.0]);
+        assert_eq!(about([1.0, 0.0, 0.0], 540.0).turn()([1.0, 2.0, 3.0]), [1.0, -2.0, -3.0]);
     }
 
     #[test]
     fn thirds_of_a_turn_about_the_diagonal_swap_axes() {
-        let turned = about([1e-30, 1e-30, 1e-30], 120.0).turn([1.0, 2.0, 3.0]);
+        let turned = about([1e-30, 1e-30, 1e-30], 120.0).turn()([1.0, 2.0, 3.0]);
         // A handful of roundings in f64.
         assert!((0..3).all(|k| (turned[k] - [3.0, 1.0, 2.0][k]).abs() < 1e-14), "{turned:?}");
     }
@@ -107,17 +114,17 @@ mod tests {
     #[test]
     fn scale_comes_before_rotation_and_normals_follow_the_surface() {
         let placement = Placement { scale: [2.0, 1.0, 1.0], ..about([0.0, 0.0, 1.0], 90.0) };
-        assert_eq!(placement.turn([1.0, 0.0, 0.0]), [0.0, 2.0, 0.0]);
+        assert_eq!(placement.turn()([1.0, 0.0, 0.0]), [0.0, 2.0, 0.0]);
         // The plane x + y = 0 becomes x / 2 + y = 0, then turns.
-        let normal = placement.turn_normal([1.0, 1.0, 0.0]).expect("a direction");
+        let normal = placement.turn_normal()([1.0, 1.0, 0.0]).expect("a direction");
         let expected = [-1.0 / 1.25_f64.sqrt(), 0.5 / 1.25_f64.sqrt(), 0.0];
         assert!((0..3).all(|k| (normal[k] - expected[k]).abs() < 1e-15), "{normal:?}");
-        assert_eq!(placement.turn_normal([0.0; 3]), None);
+        assert_eq!(placement.turn_normal()([0.0; 3]), None);
     }
 
     #[test]
     fn millimetres_become_the_same_metres() {
         let placement = Placement { scale: [0.001; 3], ..Placement::default() };
-        assert_eq!(placement.turn([195.0, 75.0, 10.0]).map(|x| x as f32), [0.195, 0.075, 0.01]);
+        assert_eq!(placement.turn()([195.0, 75.0, 10.0]).map(|x| x as f32), [0.195, 0.075, 0.01]);
     }
 }

@@ -131,7 +131,7 @@ impl<'a> Body<'a> {
             (_, Some(path)) => TriangleMesh::load(path)?,
             (_, None) => TriangleMesh::default(),
         };
-        let mesh = mesh.map(|x| self.placement.turn(x));
+        let mesh = mesh.map(self.placement.turn());
         self.check_finite(&mesh.positions)?;
         Ok(mesh)
     }
@@ -151,7 +151,8 @@ impl<'a> Body<'a> {
     #[allow(clippy::type_complexity, reason = "two columns of a file")]
     fn fluid_particles(&self) -> Result<(Vec<[f32; 3]>, Option<Vec<[f32; 3]>>)> {
         let particles = self.particles()?;
-        let rotate = |v: [f32; 3]| self.placement.rotate(v.map(f64::from)).map(|x| x as f32);
+        let rotate = self.placement.rotate();
+        let rotate = |v: [f32; 3]| rotate(v.map(f64::from)).map(|x| x as f32);
         let velocity = particles.velocity.map(|velocity| velocity.into_iter().map(rotate).collect());
         Ok((self.turned(particles.position), velocity))
     }
@@ -163,9 +164,10 @@ impl<'a> Body<'a> {
             return Err(self.error("no normals, expected one for each wall particle"));
         };
         let sign = if invert { -1.0 } else { 1.0 };
+        let turn = self.placement.turn_normal();
         let mut normal = Vec::with_capacity(normals.len());
         for (i, n) in normals.into_iter().enumerate() {
-            let Some(turned) = self.placement.turn_normal(n.map(f64::from)) else {
+            let Some(turned) = turn(n.map(f64::from)) else {
                 return Err(self.error(format!("normal of particle {i} is zero, expected a direction")));
             };
             normal.push(turned.map(|x| (sign * x) as f32));
@@ -176,8 +178,8 @@ impl<'a> Body<'a> {
     }
 
     fn turned(&self, positions: Vec<[f32; 3]>) -> Vec<[f32; 3]> {
-        let turn = |x: [f32; 3]| self.placement.turn(x.map(f64::from)).map(|x| x as f32);
-        positions.into_iter().map(turn).collect()
+        let turn = self.placement.turn();
+        positions.into_iter().map(|x| turn(x.map(f64::from)).map(|x| x as f32)).collect()
     }
 
     /// Moves positions that were turned.
