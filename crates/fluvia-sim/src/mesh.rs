@@ -25,6 +25,9 @@ pub(crate) use geometry::{Vec3, cross, distance_to_triangle, dot, scaled, sub};
 /// Meshes with more corners than this do not fit the 32-bit indices.
 const MAX_CORNERS: usize = u32::MAX as usize;
 
+/// The most strips that triangles are sorted into: so many times the memory of their indices at most.
+const MAX_STRIPS: usize = 64;
+
 /// A surface of triangles.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TriangleMesh {
@@ -162,6 +165,11 @@ impl TriangleMesh {
         self.edges().iter().all(|edge| edge.balance == 0)
     }
 
+    /// The number of edges at which triangles disagree on which side is outside.
+    pub fn clashing_edges(&self) -> usize {
+        self.edges().iter().filter(|edge| edge.balance.unsigned_abs() as usize > edge.uses % 2).count()
+    }
+
     fn edges(&self) -> Vec<Edge> {
         let mut uses: Vec<(u32, u32, i32)> = Vec::with_capacity(3 * self.triangles.len());
         for &[a, b, c] in &self.triangles {
@@ -179,13 +187,25 @@ impl TriangleMesh {
     pub fn contains(&self, points: &[[f32; 3]]) -> Vec<bool> {
         let Some([low, high]) = self.bounds() else { return vec![false; points.len()] };
         let filling = Filling::of(self);
+        // The triangles in strips across z: a point asks those of its strip.
+        let strips = ((self.triangles.len() as f64).sqrt() as usize).clamp(1, MAX_STRIPS);
+        let strip_of =
+            |z: f64| (((z - low[2]) / (high[2] - low[2]) * strips as f64) as usize).min(strips - 1);
+        let mut triangles_of = vec![Vec::new(); strips];
+        for t in 0..self.triangles.len() {
+            let [a, b, c] = self.corners(t).map(|corner| corner[2]);
+            for strip in &mut triangles_of[strip_of(a.min(b).min(c))..=strip_of(a.max(b).max(c))] {
+                strip.push(t);
+            }
+        }
         let inside = |point: &[f32; 3]| {
             let point = point.map(f64::from);
-            if (0..3).any(|k| point[k] < low[k] || point[k] > high[k]) {
+            if !(0..3).all(|k| (low[k]..=high[k]).contains(&point[k])) {
                 return false;
             }
-            let above = (0..self.triangles.len())
-                .filter_map(|t| crossing(&self.corners(t), point[0], point[2]))
+            let above = triangles_of[strip_of(point[2])]
+                .iter()
+                .filter_map(|&t| crossing(&self.corners(t), point[0], point[2]))
                 .filter(|crossing| crossing.height > point[1]);
             filling.is_inside(above.map(|crossing| crossing.direction).sum())
         };
@@ -247,6 +267,7 @@ mod tests {
         cube.triangles[3].swap(0, 1);
         assert_eq!(cube.open_edges(), 0);
         assert!(!cube.is_oriented());
+        assert_eq!(cube.clashing_edges(), 3);
         assert_eq!(cube.contains(&[[0.0; 3], [0.6, 0.0, 0.0]]), [true, false]);
     }
 

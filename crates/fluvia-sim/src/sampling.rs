@@ -13,10 +13,12 @@ mod poisson;
 pub use lattice::sample_volume;
 pub use poisson::{sample_surface, surface_count};
 
-/// The most particles of a fluid body: a file in millimetres taken for metres has 10⁹ times too many.
+/// The most particles of a fluid body, and of all bodies of a scene: a file in millimetres taken for metres has 10⁹
+/// times too many.
 pub const MAX_FLUID_PARTICLES: u64 = 10_000_000;
 
-/// The most particles of a wall: their pool and its neighbour lists take about 500 bytes a particle.
+/// The most particles of a wall, and of all walls of a scene: the random points that they are chosen from and their
+/// neighbour lists take about 800 bytes a particle.
 pub const MAX_WALL_PARTICLES: u64 = 2_000_000;
 
 /// Why a mesh cannot be sampled. The messages continue a line that names the mesh.
@@ -31,6 +33,12 @@ pub enum Fault {
         /// Edges that an odd number of triangles share.
         usize,
     ),
+    /// The surface lies on itself so many times that the random points on it have too many neighbours.
+    #[error("the surface lies on itself about {times:.0} times; faces that are there once can be sampled")]
+    Folded {
+        /// How many times, on average.
+        times: f64,
+    },
     /// There would be more than [`MAX_FLUID_PARTICLES`] or [`MAX_WALL_PARTICLES`].
     #[error(
         "{} in size, which would be about {count:.1e} particles at a spacing of {spacing} m, at most \

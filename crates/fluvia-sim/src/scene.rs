@@ -200,8 +200,8 @@ pub struct SampledWall {
     pub source: String,
     /// Its rows in [`Setup::boundary`].
     pub range: Range<usize>,
-    /// Its surface where that encloses a solid: no fluid belongs inside.
-    pub solid: Option<TriangleMesh>,
+    /// Its surface, with faces that look into the fluid; `None` if its particles are from a file.
+    pub surface: Option<TriangleMesh>,
 }
 
 /// A body of fluid and when it enters the scene: in steps k with `start <= k < stop` and

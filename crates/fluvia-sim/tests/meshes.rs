@@ -298,6 +298,36 @@ fn claimed_counts() {
     rejected(&bytes, Format::Stl, &["4294967295 triangles", "cut short"]);
 }
 
+/// Polygons without end: a comb of 999 corners has 498 reflex ones, and others cross themselves everywhere.
+#[test]
+fn large_polygons_take_no_time() {
+    let teeth = 249;
+    let mut comb = vec![[0.0, 0.0, 0.0], [teeth as f32, 0.0, 0.0]];
+    for tooth in (0..teeth).rev() {
+        let x = tooth as f32;
+        comb.extend([[x + 1.0, 2.0, 0.0], [x + 0.75, 2.0, 0.0], [x + 0.5, 1.0, 0.0], [x, 1.0, 0.0]]);
+    }
+    let corners: Vec<u32> = (0..comb.len() as u32).collect();
+    let mesh = TriangleMesh::from_polygons(comb.clone(), [&corners[..]]);
+    assert_eq!(mesh.triangles.len(), comb.len() - 2);
+    // Each tooth is 1 high below and (1/4 + 1/2) / 2 above; all coordinates are multiples of a quarter: exact.
+    assert_eq!(mesh.area(), 1.375 * f64::from(teeth));
+
+    let n = 1000_u32;
+    let around = |i: u32| (f64::from(i) / f64::from(n) * std::f64::consts::TAU).sin_cos();
+    let positions: Vec<[f32; 3]> = (0..n).map(|i| [around(i).1 as f32, around(i).0 as f32, 0.0]).collect();
+    // Any order of the corners of a circle crosses itself; these turn right at about half of their corners.
+    let mut random = (0..n).collect::<Vec<u32>>();
+    random.sort_by_key(|i| i.wrapping_mul(0x9e37_79b9).rotate_left(16));
+    let zigzag: Vec<u32> = (0..n).map(|i| if i % 2 == 0 { i / 2 } else { n - 1 - i / 2 }).collect();
+    let polygons: Vec<&[u32]> = [&random[..], &zigzag[..]].repeat(20);
+    let start = std::time::Instant::now();
+    let mesh = TriangleMesh::from_polygons(positions, polygons);
+    assert_eq!(mesh.triangles.len(), 40 * 998);
+    // 40 polygons of 1000 corners take about 0.3 s with the square of their number, and hours with its cube.
+    assert!(start.elapsed().as_secs() < 30, "{:?}", start.elapsed());
+}
+
 #[test]
 fn files_that_are_no_meshes() {
     let folder = tempfile::tempdir().expect("a folder");

@@ -148,6 +148,55 @@ fn a_box_far_too_large_in_two_directions_is_refused_at_once() {
 }
 
 #[test]
+fn files_made_to_take_hours_are_refused_at_once() {
+    // A hundred double sheets over 1.4 x 10^8 columns, with no volume between them.
+    let mut sheets = TriangleMesh {
+        positions: vec![[0.0, 0.0, 0.0], [600.0, 1.0, 0.0], [0.0, 1.0, 600.0], [0.0, 1.0, 0.0]],
+        triangles: Vec::new(),
+    };
+    for _ in 0..100 {
+        sheets.triangles.extend([[0, 1, 2], [0, 2, 1]]);
+    }
+    assert!(matches!(sample_volume(&sheets, RADIUS), Err(Fault::TooMany { .. })));
+    // Fewer columns than that, but each cut a thousand times.
+    sheets.positions.iter_mut().for_each(|x| *x = x.map(|x| 0.1 * x));
+    sheets.positions[1][1] = 0.5;
+    sheets.triangles = sheets.triangles.repeat(10);
+    assert!(matches!(sample_volume(&sheets, RADIUS), Err(Fault::TooMany { .. })));
+}
+
+#[test]
+fn surfaces_that_lie_on_themselves() {
+    let square = [[0, 1, 2], [0, 2, 3]];
+    let positions = vec![[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 0.0, 1.0], [0.0, 0.0, 1.0]];
+    let folded = |times| {
+        let mesh = TriangleMesh { positions: positions.clone(), triangles: square.repeat(times) };
+        sample_surface(&mesh, RADIUS, &mut Pcg64::seed_from_u64(0))
+    };
+    // Each face has its points: three times as many on a square that is there three times.
+    assert_eq!(folded(3).expect("a surface").position.len(), 2902);
+    let Err(Fault::Folded { times }) = folded(1000) else { panic!("too many neighbours") };
+    // A hundred places tell the number within some per cent; those at the rim have fewer neighbours.
+    assert!((800.0..1100.0).contains(&times), "{times}");
+}
+
+#[test]
+fn turned_boxes_keep_spacing_and_volume() {
+    for degrees in [10.0_f32, 30.0, 45.0] {
+        let (sin, cos) = degrees.to_radians().sin_cos();
+        let mut mesh = sized(Shape::Box, [0.6, 0.5, 0.7]);
+        mesh.positions.iter_mut().for_each(|x| *x = [cos * x[0] - sin * x[1], sin * x[0] + cos * x[1], x[2]]);
+        let points = sample_volume(&mesh, RADIUS).expect("a volume");
+        let spaced = nearest_distances(&points, 1.5 * SPACING).iter().all(|d| (d - SPACING).abs() < 1e-6);
+        assert!(spaced, "{degrees}");
+        // 12 x 10 x 14 lattice cells; what a lattice askew loses is a part of the layer at four of the faces.
+        let ratio = points.len() as f64 / 1680.0;
+        println!("{degrees} degrees: {ratio:.2} of the volume");
+        assert!((0.8..1.1).contains(&ratio), "{degrees}: {ratio}");
+    }
+}
+
+#[test]
 fn lattices_are_symmetric_and_spaced() {
     for shape in [Shape::Box, Shape::Sphere, Shape::Cylinder, Shape::Torus] {
         let points = sample_volume(&sized(shape, [0.63, 0.58, 0.63]), RADIUS).expect("a volume");

@@ -1,5 +1,8 @@
 //! Scene files: the reference cases, the shipped scenes, and every kind of fault in files written here.
 
+#[path = "formats/memory.rs"]
+mod memory;
+
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -243,6 +246,15 @@ fn parse(text: &str) -> Result<Scene> {
 #[test]
 fn what_is_no_scene() {
     for (text, expected) in [
+        (
+            "{\"walls\": [], // none\n\"fluids\": []}",
+            "line 1, column 15: key must be a string (JSON has no comments)",
+        ),
+        ("{\"walls\": [\n/* none */ ]}", "line 2, column 1: expected value (JSON has no comments)"),
+        (
+            r#"{"walls": [{"path": "a\nb.obj"}], "fluids": []}"#,
+            "`walls[0].path`: `a\\nb.obj`, expected the path",
+        ),
         ("", "empty"),
         ("\u{feff} \n", "empty"),
         ("[]", "a list of 0, expected a scene"),
@@ -282,9 +294,9 @@ fn wrong_values_are_named_by_their_key() {
         (r#", "dt": 0"#, "`dt`: 0, expected a positive number"),
         (r#", "dt": -0.02"#, "`dt`: -0.02"),
         (r#", "dt": "0.02""#, "`dt`: a text"),
-        (r#", "dt": 1e-60"#, "`dt`: 0.00000"),
+        (r#", "dt": 1e-60"#, "`dt`: 1e-60"),
         (r#", "particle_radius": -1"#, "`particle_radius`: -1, expected a positive number, metres"),
-        (r#", "particle_radius": 1e300"#, "`particle_radius`"),
+        (r#", "particle_radius": 1e300"#, "`particle_radius`: 1e300"),
         (r#", "gravity": -9.81"#, "`gravity`: -9.81, expected three times a finite number"),
         (r#", "gravity": [0, -9.81]"#, "`gravity`: a list of 2"),
         (r#", "gravity": [0, null, 0]"#, "`gravity[1]`: null"),
@@ -376,6 +388,12 @@ fn bodies_that_cannot_be_sampled() {
         folder.fluid(r#"{"shape": "box", "scale": 1e38, "translation": [3e38, 0, 0]}"#),
         &["1.000e38 x"],
     );
+    // Each body is small enough, all of them are not.
+    let half = r#"{"shape": "box", "scale": [9, 9, 9]}"#;
+    rejected(
+        folder.fluid(&format!("{half}, {half}")),
+        &["scene.json: fluids[1] (shape box)", "11664000 particles", "at most 1e7"],
+    );
     rejected(folder.wall(r#"{"shape": "box", "scale": 1000}"#), &["walls[0]", "particles", "`scale`"]);
     rejected(folder.wall(r#"{"shape": "box", "scale": 0.001}"#), &["walls[0]", "no particle fits"]);
 
@@ -432,13 +450,24 @@ fn particle_files_are_placed_and_keep_their_velocities() {
 fn warnings_for_what_will_surprise() {
     let folder = Folder::new();
     let warnings = |fluid: &str| folder.fluid(fluid).expect("a set-up").warnings();
-    // A body that fills its place to the walls starts one radius from them: no warning.
-    assert_eq!(warnings(r#"{"shape": "box", "translation": [0.5, 0.5, 0.5]}"#), Vec::<String>::new());
-    let sunk = warnings(r#"{"shape": "box", "translation": [0.5, 0.475, 0.5]}"#);
-    assert!(
-        sunk.len() == 1 && sunk[0].starts_with("walls[0] (container): ") && sunk[0].contains("fluids[0]"),
-        "{sunk:?}"
-    );
+    // A body may touch its walls: its particles are 0.55 to 1.55 radii from them, by its size.
+    for tenths in 0..10 {
+        let side = 0.5 + 0.005 * f64::from(tenths);
+        let at = 1.0 - side / 2.0;
+        let fluid =
+            format!(r#"{{"shape": "box", "scale": {side}, "translation": [{at}, {}, {at}]}}"#, side / 2.0);
+        assert_eq!(warnings(&fluid), Vec::<String>::new(), "{side}");
+    }
+    // One that stands through the floor is found, wherever the floor is between two layers.
+    for depth in [0.02, 0.03, 0.04, 0.05, 0.06, 0.5] {
+        let sunk = warnings(&format!(r#"{{"shape": "box", "translation": [0.5, {}, 0.5]}}"#, 0.5 - depth));
+        assert!(
+            sunk.len() == 1 && sunk[0].starts_with("walls[0] (container): ") && sunk[0].contains("fluids[0]"),
+            "{depth}: {sunk:?}"
+        );
+    }
+    // Beside the container it is not in a wall.
+    assert_eq!(warnings(r#"{"shape": "box", "translation": [3, 0.5, 0]}"#), Vec::<String>::new());
 
     // The middle of an obstacle is far from its faces.
     let inside = folder
@@ -448,6 +477,34 @@ fn warnings_for_what_will_surprise() {
     assert!(inside.len() == 1 && inside[0].contains("216 fluid particles"), "{inside:?}");
     let around = folder.wall(r#"{"shape": "box", "translation": [0, 0.5, 0]}"#).expect("a set-up").warnings();
     assert_eq!(around, Vec::<String>::new());
+    // The fluid stands over the edge of the step, a radius above it.
+    let over = r#"{"shape": "step", "scale": 1, "translation": [0, 0.075, 0]}"#;
+    assert_eq!(folder.wall(over).expect("a set-up").warnings(), Vec::<String>::new());
+    // An open wall has no inside, but a back: a cup through the fluid, at any height between its layers.
+    for height in [0.4, 0.41, 0.42, 0.43, 0.44] {
+        let cup = format!(r#"{{"shape": "basin", "translation": [0, {height}, 0]}}"#);
+        let cut = folder.wall(&cup).expect("a set-up").warnings();
+        assert!(cut.len() == 1 && cut[0].starts_with("walls[0] (basin): "), "{height}: {cut:?}");
+    }
+    let under = folder.wall(r#"{"shape": "basin", "translation": [0, 0.35, 0]}"#).expect("a set-up");
+    assert_eq!(under.warnings(), Vec::<String>::new());
+    // The walls of a particle file are where its particles are.
+    let data = ParticleData {
+        position: vec![[0.03, 0.51, 0.02], [0.0, 0.2, 0.0]],
+        velocity: Some(vec![[0.0, 1.0, 0.0]; 2]),
+        ..Default::default()
+    };
+    folder.particles("nails.npz", &data);
+    let nails = folder.wall(r#"{"particles": "nails.npz"}"#).expect("a set-up").warnings();
+    assert!(nails.len() == 1 && nails[0].starts_with("walls[0] (nails.npz): "), "{nails:?}");
+    // A tetrahedron with one face turned round.
+    folder.write("turned.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 4 3 2\n");
+    let turned =
+        folder.wall(r#"{"path": "turned.obj", "translation": [3, 0, 0]}"#).expect("a set-up").warnings();
+    assert!(
+        turned.len() == 1 && turned[0].contains("turned.obj") && turned[0].contains("3 edges"),
+        "{turned:?}"
+    );
 
     // The rest needs no walls.
     let alone = |fluids: &str| {
@@ -504,6 +561,25 @@ fn the_seed_decides_the_walls_and_each_wall_has_its_own() {
     let bowl = |setup: &Setup| setup.boundary.position[setup.walls[1].range.clone()].to_vec();
     assert_eq!(bowl(&once), bowl(&sample("sphere", 7)), "a change of one wall leaves the other");
 }
+
+/// A scene may be as large as its text allows, and no larger.
+#[test]
+fn large_scenes() {
+    let folder = Folder::new();
+    let wall = r#"{"shape": "box"},"#;
+    let walls = wall.repeat(5_000_000 / wall.len());
+    let path =
+        folder.write("large.json", format!(r#"{{"walls": [{}], "fluids": []}}"#, &walls[..walls.len() - 1]));
+    rejected(Scene::load(path), &["large.json", "bytes, expected a scene of at most 4194304"]);
+    let numbers = "0,".repeat(1_000_000);
+    let (result, peak) = memory::peak_of(|| parse(&format!(r#"{{"walls": [{}0]}}"#, numbers)));
+    rejected(result, &["`walls[0]`: 0, expected a wall"]);
+    assert!(peak < BYTES_FOR_A_BYTE * 2_000_000, "{peak} bytes");
+}
+
+/// The most memory for a byte of JSON: a digit and its comma become a node of 32 bytes, in a list that is copied when
+/// it grows; the text itself is held twice here.
+const BYTES_FOR_A_BYTE: usize = 64;
 
 const FULL_SCENE: &str = r#"{"walls": [{"shape": "container", "scale": [2, 1, 1], "invert_normals": false,
     "rotation": {"axis": [0, 1, 0], "angle": 30}, "translation": [0, 0, 1e-3]}], "gravity": [0, -9.81, 0],

@@ -97,10 +97,7 @@ fn clip_ears(
     let is_ear = |polygon: &[u32], i: usize| {
         let (a, b, c) = corner(polygon, i);
         let covers = |&v: &u32| {
-            ![a, b, c].contains(&v)
-                && turn(a, b, v) >= 0.0
-                && turn(b, c, v) >= 0.0
-                && turn(c, a, v) >= 0.0
+            ![a, b, c].contains(&v) && turn(a, b, v) >= 0.0 && turn(b, c, v) >= 0.0 && turn(c, a, v) >= 0.0
         };
         turns_left(polygon, i) && !polygon.iter().any(covers)
     };

@@ -19,6 +19,10 @@ const MARGIN: f64 = 0.275;
 /// The most columns that are cut: a bounding box of 500 m x 500 m at the usual spacing.
 const MAX_COLUMNS: f64 = 1e8;
 
+/// The most cuts of triangles with columns that are tried, by the triangles' bounds: the surface of a body of
+/// [`MAX_FLUID_PARTICLES`] lies over about 10⁵ columns, twice. More are the work of a file made to take hours.
+const MAX_CUTS: f64 = 1e8;
+
 /// Points of a cubic lattice of spacing 2 `radius` (metres) inside a closed mesh, z slowest, then x.
 ///
 /// # Errors
@@ -49,6 +53,9 @@ pub fn sample_volume(mesh: &TriangleMesh, radius: f32) -> Result<Vec<[f32; 3]>, 
     }
     let first = [0, 1, 2].map(|k| 0.5 * (bounds[0][k] + bounds[1][k] - (layers[k] - 1.0) * spacing));
     let lattice = Lattice::new(mesh, first, spacing, layers.map(|n| n as usize));
+    if lattice.cuts() > MAX_CUTS {
+        return Err(too_many(layers.iter().product()));
+    }
     // The shells of a mesh may cancel in the volume: count before anything is stored.
     let count = lattice.count();
     if count > MAX_FLUID_PARTICLES {
@@ -92,6 +99,15 @@ impl Lattice {
         let start = ((low - self.first[axis]) / self.spacing).ceil().max(0.0) as usize;
         let end = ((high - self.first[axis]) / self.spacing).floor() + 1.0;
         start..(end.max(0.0) as usize).min(self.layers[axis])
+    }
+
+    /// The most cuts of triangles with columns that there can be.
+    fn cuts(&self) -> f64 {
+        let columns = |t: &Triangle| {
+            let [x, z] = [0, 2].map(|k| self.layers_within(k, t.low[k], t.high[k]).len() as f64);
+            x * z
+        };
+        self.triangles.iter().map(columns).sum()
     }
 
     /// The number of points inside, those near to the surface included.

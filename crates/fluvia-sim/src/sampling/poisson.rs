@@ -29,6 +29,14 @@ const ALPHA: i32 = 8;
 const BETA: f64 = 0.65;
 const GAMMA: f64 = 1.5;
 
+/// The most pairs of points of the pool nearer than r_max; each takes 8 bytes. A surface without folds has
+/// [`PAIRS_OF_A_POINT`] for each point, and [`MAX_WALL_PARTICLES`] give 2 · 10⁸.
+const MAX_PAIRS: f64 = 2.5e8;
+/// The points of the pool in a circle of radius r_max: m / A π r_max² = 2 π m / (√3 n), the point itself included.
+const PAIRS_OF_A_POINT: f64 = 2.0 * std::f64::consts::PI / 1.732_050_8 * POOL as f64;
+/// So many points of the pool are asked for their pairs to estimate those of all.
+const PROBES: usize = 100;
+
 /// The number of points for a surface of that area (square metres): floor(1.9 A / (π r²)).
 pub fn surface_count(area: f64, radius: f32) -> f64 {
     (DENSITY * area / (std::f64::consts::PI * f64::from(radius).powi(2))).floor()
@@ -37,7 +45,8 @@ pub fn surface_count(area: f64, radius: f32) -> f64 {
 /// Samples a surface with disks of `radius` metres. The normals are those of the faces, as the mesh has them.
 ///
 /// # Errors
-/// If the mesh is without area, so small that it gets no point, or takes more than [`MAX_WALL_PARTICLES`].
+/// If the mesh is without area, so small that it gets no point, takes more than [`MAX_WALL_PARTICLES`], or lies on
+/// itself hundreds of times.
 pub fn sample_surface(mesh: &TriangleMesh, radius: f32, random: &mut Pcg64) -> Result<Boundary, Fault> {
     let area = mesh.area();
     let bounds = mesh.bounds().filter(|_| area > 0.0).ok_or(Fault::NoArea)?;
@@ -53,7 +62,7 @@ pub fn sample_surface(mesh: &TriangleMesh, radius: f32, random: &mut Pcg64) -> R
     let count = count as usize;
     let pool = random_points(mesh, area, POOL * count, random);
     let r_max = 2.0 * (area / (2.0 * 3.0_f64.sqrt() * count as f64)).sqrt();
-    let kept = eliminate(&pool.position, count, r_max);
+    let kept = eliminate(&pool.position, count, r_max)?;
     Ok(Boundary {
         position: kept.iter().map(|&i| pool.position[i]).collect(),
         normal: kept.iter().map(|&i| pool.normal[i]).collect(),
@@ -92,10 +101,14 @@ fn uniform(random: &mut Pcg64) -> f64 {
 }
 
 /// The indices, ascending, of the `count` points that remain.
-fn eliminate(points: &[[f32; 3]], count: usize, r_max: f64) -> Vec<usize> {
+fn eliminate(points: &[[f32; 3]], count: usize, r_max: f64) -> Result<Vec<usize>, Fault> {
     let r_min = r_max * BETA * (1.0 - (count as f64 / points.len() as f64).powf(GAMMA));
     let (mut grid, mut neighbors) = (Grid::new(), Neighbors::default());
     grid.build(points, r_max as f32);
+    let pairs = estimate_pairs(&mut grid, points, r_max as f32);
+    if pairs > MAX_PAIRS {
+        return Err(Fault::Folded { times: pairs / (points.len() as f64 * PAIRS_OF_A_POINT) });
+    }
     grid.search(points, Radius::Uniform(r_max as f32), &Options::default(), &mut neighbors);
     let weight = |i: usize, j: usize| {
         let d = sub(points[i].map(f64::from), points[j].map(f64::from));
@@ -121,7 +134,21 @@ fn eliminate(points: &[[f32; 3]], count: usize, r_max: f64) -> Vec<usize> {
             weights[j] -= weight(top.index, j);
         }
     }
-    (0..points.len()).filter(|&i| is_kept[i]).collect()
+    Ok((0..points.len()).filter(|&i| is_kept[i]).collect())
+}
+
+/// About how many pairs of points are nearer than `r_max`: from a few points, one at a time, because their lists
+/// are long if there are many.
+fn estimate_pairs(grid: &mut Grid, points: &[[f32; 3]], r_max: f32) -> f64 {
+    let mut neighbors = Neighbors::default();
+    let stride = points.len().div_ceil(PROBES).max(1);
+    let (mut pairs, mut probes) = (0, 0);
+    for point in points.iter().step_by(stride) {
+        grid.search(&[*point], Radius::Uniform(r_max), &Options::default(), &mut neighbors);
+        pairs += neighbors.indices.len();
+        probes += 1;
+    }
+    pairs as f64 / f64::from(probes.max(1)) * points.len() as f64
 }
 
 /// An entry of the heap: ordered by weight, then by index, so that the order is total.

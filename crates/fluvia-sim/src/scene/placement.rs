@@ -37,9 +37,9 @@ impl Placement {
 
     /// What rotates a velocity.
     pub(super) fn rotate(&self) -> impl Fn(Vec3) -> Vec3 {
-        let turn = self.rotation.map(|rotation| {
-            (unit(rotation.axis.map(f64::from)), sin_cos_degrees(rotation.angle.into()))
-        });
+        let turn = self
+            .rotation
+            .map(|rotation| (unit(rotation.axis.map(f64::from)), sin_cos_degrees(rotation.angle.into())));
         move |v| {
             let Some((axis, (sin, cos))) = turn else { return v };
             // Rodrigues' formula: v cos + (axis × v) sin + axis (axis · v) (1 - cos).

@@ -11,7 +11,7 @@ use super::{
 };
 use crate::mesh::TriangleMesh;
 use crate::particles::Boundary;
-use crate::sampling::{Fault, sample_surface, sample_volume};
+use crate::sampling::{Fault, MAX_FLUID_PARTICLES, MAX_WALL_PARTICLES, sample_surface, sample_volume};
 use crate::{Error, Result, frames};
 
 pub(super) fn sample(scene: &Scene, seed: u64) -> Result<Setup> {
@@ -28,40 +28,41 @@ pub(super) fn sample(scene: &Scene, seed: u64) -> Result<Setup> {
         // One seed a wall: a change of one leaves the others as they are.
         let mut random = Pcg64::seed_from_u64(random.next_u64());
         let body = Body::new(scene, &wall.source, &wall.placement, format!("walls[{i}]"));
-        let (particles, solid) = sample_wall(wall, &body, setup.particle_radius, &mut random)?;
-        let start = setup.boundary.position.len();
-        setup.boundary.position.extend(particles.position);
-        setup.boundary.normal.extend(particles.normal);
-        let range = start..setup.boundary.position.len();
-        setup.walls.push(SampledWall { source: wall.source.name().into(), range, solid });
+        sample_wall(wall, &body, &mut random, &mut setup)?;
     }
     for (i, fluid) in scene.fluids.iter().enumerate() {
         let body = Body::new(scene, &fluid.source, &fluid.placement, format!("fluids[{i}]"));
         setup.emitters.push(sample_fluid(fluid, &body, setup.particle_radius, &scene.material)?);
+        let count: usize = setup.emitters.iter().map(|emitter| emitter.position.len()).sum();
+        body.check_total(count, MAX_FLUID_PARTICLES)?;
     }
     Ok(setup)
 }
 
-/// The particles of a wall, and its surface if that encloses a solid.
-fn sample_wall(
-    wall: &Wall,
-    body: &Body<'_>,
-    radius: f32,
-    random: &mut Pcg64,
-) -> Result<(Boundary, Option<TriangleMesh>)> {
-    if let Source::Particles(_) = wall.source {
-        return Ok((body.wall_particles(wall.invert_normals)?, None));
-    }
-    let mesh = body.mesh()?;
-    let mut particles = sample_surface(&mesh, radius, random).map_err(|fault| body.fault(&fault))?;
-    body.place(&mut particles.position)?;
-    if !wall.invert_normals {
-        particles.normal.iter_mut().for_each(|normal| *normal = normal.map(|x| -x));
-    }
-    // The fluid is on the side that faces look away from, unless inverted: is that the outside?
-    let is_solid = mesh.is_oriented() && (mesh.volume() > 0.0) == wall.invert_normals;
-    let placed = |x: [f64; 3]| body.placement.translate(x.map(|x| x as f32)).map(f64::from);
-    Ok((particles, is_solid.then(|| mesh.map(placed))))
+/// Adds a wall to the set-up.
+fn sample_wall(wall: &Wall, body: &Body<'_>, random: &mut Pcg64, setup: &mut Setup) -> Result<()> {
+    let (particles, surface) = match wall.source {
+        Source::Particles(_) => (body.wall_particles(wall.invert_normals)?, None),
+        _ => {
+            let mut mesh = body.mesh()?;
+            let particles = sample_surface(&mesh, setup.particle_radius, random);
+            let mut particles = particles.map_err(|fault| body.fault(&fault))?;
+            if !wall.invert_normals {
+                particles.normal.iter_mut().for_each(|normal| *normal = normal.map(|x| -x));
+                mesh.triangles.iter_mut().for_each(|triangle| triangle.swap(1, 2));
+            }
+            body.place(&mut particles.position)?;
+            let placed = |x: [f64; 3]| body.placement.translate(x.map(|x| x as f32)).map(f64::from);
+            (particles, Some(mesh.map(placed)))
+        }
+    };
+    let start = setup.boundary.position.len();
+    setup.boundary.position.extend(particles.position);
+    setup.boundary.normal.extend(particles.normal);
+    let end = setup.boundary.position.len();
+    body.check_total(end, MAX_WALL_PARTICLES)?;
+    setup.walls.push(SampledWall { source: wall.source.name().into(), range: start..end, surface });
+    Ok(())
 }
 
 fn sample_fluid(fluid: &Fluid, body: &Body<'_>, radius: f32, scene: &Material) -> Result<Emitter> {
@@ -122,6 +123,15 @@ impl<'a> Body<'a> {
 
     fn fault(&self, fault: &Fault) -> Error {
         self.error(fault)
+    }
+
+    /// Refuses what takes more memory than anyone can have meant: the limits of one body hold for all together.
+    /// Particle files are as large as their particles, and free.
+    fn check_total(&self, count: usize, most: u64) -> Result<()> {
+        if count as u64 <= most || matches!(self.source, Source::Particles(_)) {
+            return Ok(());
+        }
+        Err(self.error(format!("{count} particles with those before it, at most {most:e} are made")))
     }
 
     /// The surface, scaled and rotated but not moved: what is sampled does not depend on where it is put.

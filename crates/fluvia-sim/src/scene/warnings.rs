@@ -1,16 +1,12 @@
 //! What will surprise in a set-up that can be run.
 
+mod walls;
+
 use fluvia_neighbors::{Grid, Neighbors, Options, Radius};
 
-use super::{Emitter, SampledWall, Setup};
-
-/// Fluid nearer to a wall than this many radii starts against it. A body that touches a wall has its particles
-/// one radius away, or less by rounding.
-const AGAINST_WALL: f32 = 0.95;
-
-/// A wall particle stands for the wall this many radii around it: a little more than half of the widest gaps
-/// between Poisson disks.
-const WALL_DISK: f32 = 1.6;
+use super::{Emitter, Setup};
+use crate::mesh::TriangleMesh;
+use walls::against_wall;
 
 /// Particles nearer than this many spacings are in the same place: a solver throws them apart.
 const SAME_PLACE: f32 = 0.5;
@@ -35,6 +31,7 @@ pub(super) fn warnings(setup: &Setup) -> Vec<String> {
             ));
         }
     }
+    clashing_faces(setup, &mut warnings);
     in_walls(setup, &mut warnings);
     bodies_overlap(setup, &mut warnings);
     for (i, emitter) in setup.emitters.iter().enumerate() {
@@ -43,17 +40,27 @@ pub(super) fn warnings(setup: &Setup) -> Vec<String> {
     warnings
 }
 
-/// Fluid particles in solid walls, or so near to one that they will be thrown away from it.
+/// Walls whose normals are not all what they should be.
+fn clashing_faces(setup: &Setup, warnings: &mut Vec<String>) {
+    for (i, wall) in setup.walls.iter().enumerate() {
+        let edges = wall.surface.as_ref().map_or(0, TriangleMesh::clashing_edges);
+        if edges > 0 {
+            warnings.push(format!(
+                "{}: its faces disagree on which side is outside (at {edges} {}), so that some normals point away \
+                 from the fluid",
+                name("walls", i, &wall.source),
+                if edges == 1 { "edge" } else { "edges" }
+            ));
+        }
+    }
+}
+
+/// Fluid particles behind walls, or so near to one that they will be thrown away from it.
 fn in_walls(setup: &Setup, warnings: &mut Vec<String>) {
     for (i, wall) in setup.walls.iter().enumerate() {
         let (mut count, mut bodies) = (0, Vec::new());
         for (k, emitter) in setup.emitters.iter().enumerate() {
-            let mut is_bad = against_wall(setup, wall, &emitter.position);
-            if let Some(solid) = &wall.solid {
-                let inside = solid.contains(&emitter.position);
-                is_bad.iter_mut().zip(inside).for_each(|(bad, inside)| *bad |= inside);
-            }
-            let bad = is_bad.into_iter().filter(|&bad| bad).count();
+            let bad = against_wall(setup, wall, &emitter.position).into_iter().filter(|&bad| bad).count();
             if bad > 0 {
                 count += bad;
                 bodies.push(format!("fluids[{k}]"));
@@ -62,28 +69,12 @@ fn in_walls(setup: &Setup, warnings: &mut Vec<String>) {
         if count > 0 {
             let particles = if count == 1 { "particle starts" } else { "particles start" };
             warnings.push(format!(
-                "{}: {count} fluid {particles} in it or nearer than a radius ({} m), of {}",
+                "{}: {count} fluid {particles} in or against it, of {}",
                 name("walls", i, &wall.source),
-                setup.particle_radius,
                 bodies.join(", ")
             ));
         }
     }
-}
-
-/// Which positions are within [`AGAINST_WALL`] of the wall, taken for a flat disk around each of its particles.
-fn against_wall(setup: &Setup, wall: &SampledWall, positions: &[[f32; 3]]) -> Vec<bool> {
-    let points = &setup.boundary.position[wall.range.clone()];
-    let normals = &setup.boundary.normal[wall.range.clone()];
-    let (height, width) = (AGAINST_WALL * setup.particle_radius, WALL_DISK * setup.particle_radius);
-    let neighbors = search(points, positions, height.hypot(width));
-    let is_near = |q: usize, j: usize| {
-        let offset = [0, 1, 2].map(|k| positions[q][k] - points[j][k]);
-        let across: f32 = (0..3).map(|k| offset[k] * normals[j][k]).sum();
-        let square: f32 = offset.iter().map(|x| x * x).sum();
-        across.abs() < height && square - across * across < width * width
-    };
-    (0..positions.len()).map(|q| neighbors.row(q).iter().any(|&j| is_near(q, j as usize))).collect()
 }
 
 /// Bodies that enter in the same step and share space.
