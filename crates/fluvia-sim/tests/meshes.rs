@@ -73,8 +73,14 @@ fn triangles() -> impl Iterator<Item = [usize; 3]> {
 
 fn obj() -> String {
     let vertices = CORNERS.iter().map(|[x, y, z]| format!("v {x} {y} {z}\n"));
-    let faces = FACES.iter().map(|f| format!("f {} {} {} {}\n", f[0] + 1, f[1] + 1, f[2] + 1, f[3] + 1));
-    vertices.chain(faces).collect()
+    vertices.collect::<String>() + &faces_from(1)
+}
+
+/// The faces in an OBJ file whose first corner has that number.
+fn faces_from(first: usize) -> String {
+    let face =
+        |f: &[usize; 4]| format!("f {} {} {} {}\n", f[0] + first, f[1] + first, f[2] + first, f[3] + first);
+    FACES.iter().map(face).collect()
 }
 
 fn ascii_stl() -> String {
@@ -89,7 +95,8 @@ fn ascii_stl() -> String {
 }
 
 fn binary_stl() -> Vec<u8> {
-    let mut bytes = [b's'; 80].to_vec();
+    // Programs write `solid` here too.
+    let mut bytes = [&b"solid cube"[..], &[0; 70]].concat();
     bytes.extend(12_u32.to_le_bytes());
     for t in triangles() {
         bytes.extend([0; 12]);
@@ -162,6 +169,11 @@ fn guises_of_a_cube() {
     assert_cube(&parse(obj().as_bytes(), Format::Obj));
     assert_cube(&parse(ascii_stl().as_bytes(), Format::Stl));
     assert_cube(&parse(&binary_stl(), Format::Stl));
+    // No name, exponents, the keywords in capitals, a normal that is no number.
+    let odd =
+        ascii_stl().replace(" cube with a name", "").replace(" -1", " -1.000E+00").replace(" 1", " 10e-01");
+    assert_cube(&parse(odd.to_uppercase().as_bytes(), Format::Stl));
+    assert_cube(&parse(odd.replace("normal 0 0 0", "normal nan -nan inf").as_bytes(), Format::Stl));
     for format in ["ascii", "binary_little_endian", "binary_big_endian"] {
         for (coordinate, index) in [("float", "int"), ("double", "uchar"), ("float", "ushort")] {
             for line_end in ["\n", "\r\n", "\r"] {
@@ -184,6 +196,47 @@ fn odd_obj_files() {
     // Faces before the vertices that they name.
     let (vertices, faces) = text.split_at(text.find('f').expect("faces"));
     assert_cube(&parse(format!("{faces}{vertices}").as_bytes()));
+    // Tabs, blanks at the ends of lines, CR LF, and no line end after the last face.
+    assert_cube(&parse(text.replace(' ', " \t ").replace('\n', " \r\n").trim_end().as_bytes()));
+    // Colours, or a fourth coordinate.
+    assert_cube(&parse(text.replace(" 1\n", " 1 0.2 0.3 0.4\n").replace(" -1\n", " -1 1.0\n").as_bytes()));
+    // Elements that are no faces, and names of files that are not there.
+    let other = "mtllib none.mtl\ng a b\ns off\nusemtl red\nl 1 2 3\np 4\nvt 0 0\nvn 0 0 1\n";
+    assert_cube(&parse(format!("{other}{text}{other}").as_bytes()));
+    // Corners that count backwards, and name texture coordinates and normals, some of which are not there.
+    let corner = |v: usize, k: usize| match k % 3 {
+        0 => format!("{}//7", v as i64 - 8),
+        1 => format!("{}/1/-1", v as i64 - 8),
+        _ => format!("{}/2", v + 1),
+    };
+    let face = |f: &[usize; 4]| {
+        let corners: Vec<String> = f.iter().enumerate().map(|(k, &v)| corner(v, k)).collect();
+        format!("f {}\n", corners.join(" "))
+    };
+    assert_cube(&parse(format!("{vertices}{}", FACES.iter().map(face).collect::<String>()).as_bytes()));
+    // Three vertices to every triangle: closed all the same.
+    let separate = triangles().map(|t| {
+        let vertices = t.map(|v| CORNERS[v]).map(|[x, y, z]| format!("v {x:.3} {y:e} {z}\n")).concat();
+        format!("{vertices}f -3 -2 -1\n")
+    });
+    assert_cube(&parse(separate.collect::<String>().as_bytes()));
+    // Two bodies in one file.
+    let moved = CORNERS.map(|[x, y, z]| format!("v {} {y} {z}\n", x + 5.0)).concat();
+    let pair = parse(format!("o a\n{text}o b\n{moved}{}", faces_from(9)).as_bytes());
+    assert_eq!((pair.open_edges(), pair.is_oriented(), pair.volume()), (0, true, 16.0));
+    assert_eq!(pair.contains(&[[0.0; 3], [2.5, 0.0, 0.0], [5.0, 0.0, 0.0]]), [true, false, true]);
+    // A prism of six sides.
+    let around = |k: i32, z: i32| {
+        let (sin, cos) = f64::from(60 * k).to_radians().sin_cos();
+        format!("v {cos:.6} {sin:.6} {z}\n")
+    };
+    let ends: String = (0..12).map(|k| around(k % 6, k / 6)).collect();
+    let sides: String =
+        (0..6).map(|k| format!("f {} {} {} {}\n", k + 1, (k + 1) % 6 + 1, (k + 1) % 6 + 7, k + 7)).collect();
+    let prism = parse(format!("{ends}{sides}f 6 5 4 3 2 1\nf 7 8 9 10 11 12\n").as_bytes());
+    assert_eq!((prism.open_edges(), prism.is_oriented(), prism.triangles.len()), (0, true, 20));
+    // 3 sqrt(3) / 2, of coordinates with six digits.
+    assert!((prism.volume() - 1.5 * 3.0_f64.sqrt()).abs() < 1e-5, "{}", prism.volume());
     // Unused vertices, and a triangle without area that welding leaves out.
     let mesh = parse(b"v 9 9 9\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 0 -0\nf 2 3 4\nf 3 5 4\n");
     assert_eq!((mesh.positions.len(), mesh.triangles.len(), mesh.area()), (3, 1, 0.5));

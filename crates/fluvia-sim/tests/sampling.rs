@@ -62,7 +62,7 @@ fn poisson_disks_are_as_evenly_spread_as_those_of_open3d() {
     };
     let widest = neighbors.row_splits.windows(2).map(nearest).fold(0.0, f32::max);
     println!("the middle of the widest hole is {widest} m from the next point");
-    // The warning for fluid against a wall takes the points for disks of 1.6 radii.
+    // The warning for fluid against a wall looks for wall particles as far as 1.6 radii along it.
     assert!(widest < 1.6 * RADIUS, "{widest}");
     // Each face has its share of the points. Its standard deviation would be 2 % for independent points; these
     // are far more even.
@@ -226,19 +226,67 @@ fn round_bodies_have_nearly_their_volume() {
     }
 }
 
-#[test]
-fn models_keep_their_particles_inside() {
+/// The folder of the published models, or `None` with the reason printed.
+fn models() -> Option<PathBuf> {
     let folder = match std::env::var_os("FLUVIA_REFERENCE") {
         Some(folder) => PathBuf::from(folder),
         None => Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/reference"),
     };
-    if !folder.is_dir() {
-        println!("skipped: no reference data in {} (set FLUVIA_REFERENCE)", folder.display());
-        return;
+    if folder.is_dir() {
+        return Some(folder.join("official/datasets/models"));
     }
+    println!("skipped: no reference data in {} (set FLUVIA_REFERENCE)", folder.display());
+    None
+}
+
+#[test]
+fn particles_of_published_walls_lie_on_their_faces() {
+    let Some(folder) = models() else { return };
+    for entry in folder.read_dir().expect("a folder") {
+        let path = entry.expect("an entry").path();
+        let mesh = TriangleMesh::load(&path).expect("a mesh");
+        let start = std::time::Instant::now();
+        let walls = surface(&mesh, 0);
+        println!("{}: {} particles in {:?}", path.display(), walls.position.len(), start.elapsed());
+        assert_eq!(walls.position.len() as f64, surface_count(mesh.area(), RADIUS), "{}", path.display());
+        // Some are enough: each is looked for on all faces.
+        for (x, n) in walls.position.iter().zip(&walls.normal).step_by(101) {
+            let length = n.iter().map(|n| n * n).sum::<f32>().sqrt();
+            assert!((length - 1.0).abs() < 1e-6, "{length}");
+            assert!(
+                mesh.triangles.iter().any(|&t| is_on(mesh_corners(&mesh, t), *x, *n)),
+                "{x:?} {}",
+                path.display()
+            );
+        }
+    }
+}
+
+fn mesh_corners(mesh: &TriangleMesh, triangle: [u32; 3]) -> [[f64; 3]; 3] {
+    triangle.map(|v| mesh.positions[v as usize].map(f64::from))
+}
+
+/// Whether the point lies in the triangle, which has that normal; by barycentric coordinates.
+fn is_on([a, b, c]: [[f64; 3]; 3], x: [f32; 3], n: [f32; 3]) -> bool {
+    let sub = |p: [f64; 3], q: [f64; 3]| [0, 1, 2].map(|k| p[k] - q[k]);
+    let dot = |p: [f64; 3], q: [f64; 3]| (0..3).map(|k| p[k] * q[k]).sum::<f64>();
+    let cross = |p: [f64; 3], q: [f64; 3]| {
+        [0, 1, 2].map(|k| p[(k + 1) % 3] * q[(k + 2) % 3] - p[(k + 2) % 3] * q[(k + 1) % 3])
+    };
+    let (x, n) = (x.map(f64::from), n.map(f64::from));
+    let area = cross(sub(b, a), sub(c, a));
+    let twice = dot(area, area).sqrt();
+    let part = |p: [f64; 3], q: [f64; 3]| dot(cross(sub(p, x), sub(q, x)), n) / twice;
+    // Coordinates of some metres in float32 are rounded by up to 2.4e-7 m; faces are centimetres wide.
+    let is_flat = dot(sub(x, a), n).abs() < 1e-6 && dot(area, n) > 0.999_999 * twice;
+    is_flat && [part(a, b), part(b, c), part(c, a)].iter().all(|&part| part > -1e-3)
+}
+
+#[test]
+fn models_keep_their_particles_inside() {
+    let Some(folder) = models() else { return };
     for name in ["Fluid", "Fluid_001", "Fluid_002", "Fluid_003", "Fluid_004"] {
-        let mesh =
-            TriangleMesh::load(folder.join(format!("official/datasets/models/{name}.obj"))).expect("a mesh");
+        let mesh = TriangleMesh::load(folder.join(format!("{name}.obj"))).expect("a mesh");
         let points = sample_volume(&mesh, RADIUS).expect("a volume");
         let ratio = points.len() as f64 / (mesh.volume() / f64::from(SPACING).powi(3));
         println!("{name}: {} particles, {ratio:.2} of the volume", points.len());

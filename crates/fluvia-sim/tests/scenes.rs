@@ -288,6 +288,22 @@ fn what_is_no_scene() {
 }
 
 #[test]
+fn json_as_it_is_written_by_hand() {
+    let text = "{\n\"walls\": [{\"shape\": \"container\"}],\n\"fluids\": [{\"shape\": \"box\"}]\n}";
+    let plain = parse(text).expect("a scene");
+    assert_eq!(parse(&format!("\u{feff}{text}")).expect("a scene"), plain);
+    assert_eq!(parse(&text.replace('\n', "\r\n\t")).expect("a scene"), plain);
+    rejected(parse(&text.replace("}]\n}", "}],\n}")), &["line 4, column 1: trailing comma"]);
+    rejected(parse(&text.replace("}]\n}", "},\n]}")), &["line 4, column 1: trailing comma"]);
+    rejected(parse(&text.replace("\"walls\"", "// the box\n\"walls\"")), &["line 2", "no comments"]);
+    rejected(parse(&text[..text.len() - 1]), &["line 4", "EOF"]);
+    rejected(parse(&format!("{text}{text}")), &["line 4, column 2: trailing characters"]);
+    // Scenes of another simulator.
+    let other = r#"{"Configuration": {"particleRadius": 0.025}, "RigidBodies": [], "FluidModels": []}"#;
+    rejected(parse(other), &["unknown key `Configuration`: a scene has walls, fluids"]);
+}
+
+#[test]
 fn wrong_values_are_named_by_their_key() {
     let scene = |more: &str| format!(r#"{{"walls": [], "fluids": [{{"shape": "box"}}]{more}}}"#);
     for (more, expected) in [
