@@ -136,14 +136,14 @@ impl Network {
         Walls { position, features, grid }
     }
 
-    /// Finds the neighbours of particles at x*: among them without the particle itself, and among the walls.
+    /// Finds the neighbours of particles at x*, among them and among the walls, without what is at distance zero: the
+    /// particle itself, and whatever coincides with it.
     pub fn search(&self, position: &[[f32; 3]], walls: &mut Walls, pass: &mut Pass) {
         let radius = self.config.filter_radius;
-        let options =
-            |ignore_coincident| fluvia_neighbors::Options { ignore_coincident, ..Default::default() };
+        let options = fluvia_neighbors::Options { ignore_coincident: true, ..Default::default() };
         pass.grid.build(position, radius);
-        pass.grid.search(position, Radius::Uniform(radius), &options(true), &mut pass.fluid_neighbors);
-        walls.grid.search(position, Radius::Uniform(radius), &options(false), &mut pass.wall_neighbors);
+        pass.grid.search(position, Radius::Uniform(radius), &options, &mut pass.fluid_neighbors);
+        walls.grid.search(position, Radius::Uniform(radius), &options, &mut pass.wall_neighbors);
     }
 
     /// Computes o for particles at x* with the features [1, v*, extra] ([particles, inputs]); read it from

@@ -73,11 +73,12 @@ fn network(
 ) -> Vec<f64> {
     let radius = weights.config.filter_radius;
     let options = Options { filter_size: weights.config.filter_size, ..Options::default() };
-    let search = |inputs: &[[f32; 3]], ignore_coincident| {
-        let options = fluvia_neighbors::Options { metric: Metric::L2, ignore_coincident, distances: false };
+    let search = |inputs: &[[f32; 3]]| {
+        let options =
+            fluvia_neighbors::Options { metric: Metric::L2, ignore_coincident: true, distances: false };
         brute_force(inputs, points, Radius::Uniform(radius), &options)
     };
-    let (fluid, wall) = (search(points, true), search(walls, false));
+    let (fluid, wall) = (search(points), search(walls));
     let extent = Extent::Uniform(2.0 * radius);
     let fluid_sets = PointSets::new(points, points, &fluid, extent);
     let wall_sets = PointSets::new(walls, points, &wall, extent);

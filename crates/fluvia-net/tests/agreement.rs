@@ -136,3 +136,26 @@ fn another_time_step_or_input_is_refused() {
     let error = NetSolver::new(&heat, &Boundary::default(), &[None], Kernel::detect()).unwrap_err();
     assert!(error.to_string().contains("temperature"), "{error}");
 }
+
+/// The published layers leave out what is at distance zero, wall particles too: Open3D gives a particle that
+/// coincides with one the same correction as without it.
+#[test]
+fn a_wall_particle_at_the_same_place_does_not_count() {
+    let mut numbers = Numbers(4);
+    let weights = weights(Integration::Paper, &[], &mut numbers);
+    let at = |position: [f32; 3]| Boundary { position: vec![position], normal: vec![[0.0, 1.0, 0.0]] };
+    // At rest without acceleration x* is x to the last bit.
+    let start = Particles { velocity: vec![[0.0; 3]], ..particles(1, &mut numbers) };
+    let rest = Acceleration::Uniform([0.0; 3]);
+    let x = start.position[0];
+    let state = State { position: vec![x.map(f64::from)], velocity: vec![[0.0; 3]] };
+    let moved = |boundary: &Boundary| {
+        let mut moved = start.clone();
+        let mut solver = NetSolver::new(&weights, boundary, &[None], Kernel::detect()).unwrap();
+        solver.step(&mut moved, rest, weights.config.dt).unwrap();
+        (moved, reference::step(&weights, &state, &[], boundary, rest))
+    };
+    let alone = moved(&Boundary::default());
+    assert_eq!(moved(&at(x)), alone);
+    assert_ne!(moved(&at([x[0] + 0.01, x[1], x[2]])), alone);
+}
