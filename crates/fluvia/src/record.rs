@@ -86,8 +86,8 @@ impl Record {
         let fields = [
             ("scene (sha256)", &old.scene.sha256, &self.scene.sha256),
             ("weights (sha256)", &hash(&old.weights), &hash(&self.weights)),
-            ("sampled particles (sha256)", &old.particles_sha256, &self.particles_sha256),
             ("seed", &old.seed.to_string(), &self.seed.to_string()),
+            ("sampled particles (sha256)", &old.particles_sha256, &self.particles_sha256),
             ("solver", &old.solver, &self.solver),
             ("solver's parameters", &old.parameters.to_string(), &self.parameters.to_string()),
             ("formats", &old.formats.join(","), &self.formats.join(",")),

@@ -37,7 +37,7 @@ fn check_same(out: &Path, record: &Record) -> Result<Record> {
     let old: Record = frames::read_json(&path)?;
     match record.difference(&old) {
         Some((name, old, new)) => {
-            bail!("{}: the run was made with another {name}: {old}, now {new}", path.display())
+            bail!("{}: not the same run, its {name}: {old}, now: {new}", path.display())
         }
         None => Ok(old),
     }

@@ -112,7 +112,7 @@ fn resuming_another_run_is_refused() {
     let before = folder.files("out");
     for (arguments, word) in [
         ("simulate other.json --steps 4 --out out --resume", "scene"),
-        ("simulate scene.json --steps 4 --out out --resume --seed 1", "particles"),
+        ("simulate scene.json --steps 4 --out out --resume --seed 1", "seed"),
         ("simulate scene.json --steps 4 --out out --resume --format ply", "formats"),
         ("simulate scene.json --steps 4 --out out --resume --solver-dt 0.002", "parameters"),
         ("simulate scene.json --steps 4 --out out", "--resume"),
