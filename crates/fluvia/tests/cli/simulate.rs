@@ -148,7 +148,7 @@ fn frames_that_are_no_run_are_never_replaced() {
         assert!(run.stderr.contains(word), "{}", run.stderr);
         assert!(folder.files("out") == before, "{arguments}: changed the files");
     };
-    refused(other, "another");
+    refused(other, "not the same run");
     let record = std::fs::read(folder.path("out/run.json")).unwrap();
     std::fs::remove_file(folder.path("out/run.json")).unwrap();
     refused(same, "run.json");
