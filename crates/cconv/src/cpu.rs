@@ -1,31 +1,46 @@
-//! The operator on the CPU: the forward pass.
+//! The operator on the CPU: forward and backward.
 //!
 //! Every output row is computed by one task, in an order that depends on the input alone, so that the
-//! number of threads does not change a bit. Different kernels round differently.
+//! number of threads does not change a bit; sums over points are taken over fixed runs of points. Different
+//! kernels round differently.
 
+mod dense;
+mod dots;
+mod output;
 mod patches;
 mod products;
+mod sums;
 
 use std::sync::Mutex;
 
+pub use dense::{Dense, DenseGradients, dense, dense_backward};
+pub use output::Columns;
+use output::Output;
+use patches::Patches;
+use sums::{FilterSums, Partition};
+
 use crate::aligned::AlignedVec;
-use crate::filter::{Layout, panels};
-use crate::kernel::Kernel;
+use crate::filter::Layout;
+use crate::geometry::{Lists, PairGradient};
 use crate::{Filter, Geometry};
 
-/// Working memory of [`forward`], reused from call to call.
+/// Working memory of [`forward`] and [`backward`], reused from call to call.
 #[derive(Debug, Default)]
 pub struct Workspace {
     /// One for each thread.
     scratch: Vec<Mutex<Scratch>>,
     /// Features with their channels padded, or the products of features and filter.
     whole: AlignedVec,
+    /// Partial sums of a filter's gradient.
+    partial: AlignedVec,
 }
 
 #[derive(Debug, Default)]
 struct Scratch {
     patches: AlignedVec,
     sums: AlignedVec,
+    /// Rows of one factor as the matrix product reads them.
+    packed: AlignedVec,
 }
 
 impl Workspace {
@@ -43,15 +58,23 @@ fn with_scratch(scratch: &[Mutex<Scratch>], work: impl FnOnce(&mut Scratch)) {
     work(&mut guard);
 }
 
-/// Where results go: columns `first..first + channels` of rows of `stride` values.
-#[derive(Debug)]
-pub struct Columns<'a> {
-    /// [points, `stride`].
-    pub values: &'a mut [f32],
-    /// Values in a row.
-    pub stride: usize,
-    /// The first column to write.
-    pub first: usize,
+/// Features [points, channels] with their channels padded by zeros.
+fn pad<'a>(
+    features: &'a [f32],
+    channels: usize,
+    padded: usize,
+    points: usize,
+    memory: &'a mut AlignedVec,
+) -> &'a [f32] {
+    if padded == channels {
+        return features;
+    }
+    memory.reserve_len(points * padded);
+    for (to, from) in memory.chunks_exact_mut(padded).zip(features.chunks_exact(channels)) {
+        to[..channels].copy_from_slice(from);
+        to[channels..].fill(0.0);
+    }
+    &memory[..points * padded]
 }
 
 /// Computes one layer, Eq. 7: `features` [input points, in channels] to `output` [output points, out
@@ -82,83 +105,120 @@ pub fn forward_into(
     output: Columns<'_>,
     workspace: &mut Workspace,
 ) {
-    let (inputs, outputs) = (geometry.inputs, geometry.outputs);
-    assert_eq!(filter.cells, geometry.cells, "cells of the filter and of the geometry");
+    check_sizes(geometry, filter, features);
+    output.check(geometry.lists.rows, filter.out_channels);
+    workspace.prepare();
+    let output = Output { columns: output, add: false };
+    let lists = &geometry.lists;
+    match filter.layout {
+        Layout::Patches => {
+            patches::run(Patches { lists, filter, features }, Some(output), None, workspace);
+        }
+        Layout::Products { group } => products::run(lists, filter, group, features, output, workspace),
+    }
+}
+
+fn check_sizes(geometry: &Geometry, filter: &Filter, features: &[f32]) {
+    let (inputs, outputs) = (geometry.lists.columns, geometry.lists.rows);
+    assert_eq!(filter.cells, geometry.lists.cells, "cells of the filter and of the geometry");
     assert_eq!(features.len(), inputs * filter.in_channels, "features of {inputs} input points");
-    check_columns(&output, outputs, filter.out_channels);
     if filter.rows() > filter.cells {
         assert_eq!(inputs, outputs, "a pointwise term needs the same input and output points");
     }
-    workspace.prepare();
-    match filter.layout {
-        Layout::Patches => patches::forward(geometry, filter, features, output, workspace),
-        Layout::Products { group } => {
-            products::forward(geometry, filter, group, features, output, workspace);
-        }
-    }
 }
 
-/// A fully connected layer: weights [in, out] and a bias, in the order in which the kernels read them.
-#[derive(Clone, Debug)]
-pub struct Dense {
-    in_channels: usize,
-    out_channels: usize,
-    packed: AlignedVec,
-    bias: Vec<f32>,
+/// Where [`backward`] adds the derivatives of a number L that depends on a layer's output. Only those that are asked for
+/// are computed.
+#[derive(Debug, Default)]
+pub struct Gradients<'a> {
+    /// By the filter, [depth, height, width, in, out].
+    pub filter: Option<&'a mut [f32]>,
+    /// By the pointwise weights, [in, out].
+    pub pointwise: Option<&'a mut [f32]>,
+    /// By the bias, [out].
+    pub bias: Option<&'a mut [f32]>,
+    /// By the features, [input points, in].
+    pub features: Option<&'a mut [f32]>,
+    /// By the weights of the pairs. [`Geometry::backward`] makes those by positions, importance and window values
+    /// of it, once for all layers on the same points. Without it the positions count as constants, as in the
+    /// published code.
+    pub pairs: Option<&'a mut PairGradient>,
 }
 
-impl Dense {
-    /// A layer with weights of shape [`in_channels`, out channels] and one bias per output channel.
-    ///
-    /// # Panics
-    /// If the number of weights is another, or a dimension is zero.
-    pub fn new(in_channels: usize, weights: &[f32], bias: &[f32]) -> Dense {
-        let out_channels = bias.len();
-        assert!(in_channels > 0 && out_channels > 0, "a layer needs channels");
-        assert_eq!(weights.len(), in_channels * out_channels, "weights are [in, out]");
-        let mut packed = Vec::with_capacity(in_channels * out_channels.next_multiple_of(16));
-        for (first, width) in panels(out_channels) {
-            for row in weights.chunks_exact(out_channels) {
-                packed.extend((first..first + width).map(|column| row.get(column).copied().unwrap_or(0.0)));
-            }
-        }
-        let packed = AlignedVec::from_slice(&packed);
-        Dense { in_channels, out_channels, packed, bias: bias.to_vec() }
-    }
-
-    /// The number of output channels.
-    pub fn out_channels(&self) -> usize {
-        self.out_channels
-    }
-}
-
-/// Applies a fully connected layer to `features` [points, in channels].
+/// The backward pass of [`forward`]: from the derivatives of L by the output, [output points, out channels], to
+/// those by what the output depends on, which are added to `gradients`.
 ///
 /// # Panics
-/// If a length does not fit the layer.
-pub fn dense(
-    layer: &Dense,
+/// If a length does not fit the geometry and the filter, or without [`Geometry::prepare_backward`].
+pub fn backward(
+    geometry: &Geometry,
+    filter: &Filter,
     features: &[f32],
-    output: Columns<'_>,
+    output_gradient: &[f32],
+    gradients: Gradients<'_>,
     workspace: &mut Workspace,
-    kernel: Kernel,
 ) {
-    let points = features.len() / layer.in_channels;
-    assert_eq!(features.len(), points * layer.in_channels, "features are [points, in channels]");
-    check_columns(&output, points, layer.out_channels);
+    check_sizes(geometry, filter, features);
+    let (cells, inputs, outputs) = (filter.cells, filter.in_channels, filter.out_channels);
+    let rows = geometry.lists.rows;
+    let has_pointwise = filter.rows() > cells;
+    assert_eq!(
+        output_gradient.len(),
+        rows * outputs,
+        "gradients of {rows} output points, {outputs} channels"
+    );
     workspace.prepare();
-    let rows = products::Rows {
-        features,
-        in_channels: layer.in_channels,
-        packed: &layer.packed,
-        columns: layer.out_channels,
-        bias: &layer.bias,
-    };
-    products::multiply(rows, output, &workspace.scratch, kernel);
-}
-
-fn check_columns(output: &Columns<'_>, points: usize, channels: usize) {
-    let Columns { values, stride, first } = output;
-    assert!(*stride > 0 && first + channels <= *stride, "columns {first}.. of rows of {stride} values");
-    assert_eq!(values.len(), points * stride, "{points} rows of {stride} values");
+    let transposed = &geometry.transposed().lists;
+    let Gradients { filter: by_filter, mut pointwise, bias, features: mut by_features, pairs } = gradients;
+    if let Some(gradient) = &pointwise {
+        assert!(has_pointwise, "the gradient of a pointwise term that the filter does not have");
+        assert_eq!(gradient.len(), inputs * outputs, "the gradient of pointwise weights, [in, out]");
+    }
+    if let Some(bias) = bias {
+        assert_eq!(bias.len(), outputs, "the gradient of one bias per output channel");
+        sums::add_columns(output_gradient, &geometry.lists.clouds, bias);
+    }
+    if let Some(gradient) = &by_features {
+        assert_eq!(gradient.len(), features.len(), "the gradient of the features");
+    }
+    let adjoint = filter.adjoint();
+    // The gradients of the features and of the filter share the patches of the output gradient, unless it is
+    // cheaper to interpolate the features.
+    let feature_patches = Patches { lists: &geometry.lists, filter, features };
+    let gradient_patches = Patches { lists: transposed, filter: adjoint, features: output_gradient };
+    let shares = by_features.is_some() && adjoint.layout == Layout::Patches;
+    let exchanged = shares || outputs < inputs;
+    if let Some(gradient) = by_filter {
+        assert_eq!(gradient.len(), cells * inputs * outputs, "the gradient of the filter");
+        let (other, channels) = if exchanged { (features, inputs) } else { (output_gradient, outputs) };
+        let sums = FilterSums { other, channels, filter: gradient, pointwise: pointwise.take(), exchanged };
+        if exchanged {
+            let output = by_features.take_if(|_| shares).map(|values| Output::added(values, inputs));
+            patches::run(gradient_patches, output, Some(sums), workspace);
+        } else {
+            patches::run(feature_patches, None, Some(sums), workspace);
+        }
+    }
+    if let Some(gradient) = pointwise {
+        let Lists { clouds, kernel, .. } = &geometry.lists;
+        let points = Partition { clouds, kernel: *kernel };
+        sums::add_products(features, output_gradient, points, (inputs, outputs), gradient, workspace);
+    }
+    if let Some(gradient) = by_features {
+        let output = Output::added(gradient, inputs);
+        match adjoint.layout {
+            Layout::Patches => patches::run(gradient_patches, Some(output), None, workspace),
+            Layout::Products { group } => {
+                products::run(transposed, adjoint, group, output_gradient, output, workspace);
+            }
+        }
+    }
+    if let Some(pairs) = pairs {
+        assert_eq!(
+            pairs.blocks.len(),
+            geometry.lists.blocks.len(),
+            "a gradient of the pairs of this geometry"
+        );
+        dots::run(&geometry.lists, filter, features, output_gradient, pairs, workspace);
+    }
 }

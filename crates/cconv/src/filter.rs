@@ -1,6 +1,8 @@
 //! The filter g: values on a regular grid of cells, looked up between them, and the layout in which the
 //! kernels read it.
 
+use std::sync::OnceLock;
+
 use crate::Options;
 use crate::aligned::AlignedVec;
 use crate::kernel::{InstructionSet, PANEL, Slabs};
@@ -67,6 +69,34 @@ impl Interpolation {
         }
     }
 
+    /// The derivatives of the two weights of [`Interpolation::along`] by the coordinate. Between two cells they
+    /// are −1 and 1; at the centre of a cell those of the cells after it count, and at the last centre of
+    /// [`Interpolation::Linear`] those before it. Beyond the border of that kind they are 0.
+    #[inline(always)]
+    pub(crate) fn slopes<I: InstructionSet>(self, x: I::Vector, size: f32) -> [I::Vector; 2] {
+        let (zero, one, minus_one) = (I::splat(0.0), I::splat(1.0), I::splat(-1.0));
+        let (last, last_pair) = (I::splat(size - 1.0), I::splat((size - 2.0).max(0.0)));
+        match self {
+            Interpolation::Nearest => [zero, zero],
+            Interpolation::Linear => {
+                let inside = I::select(I::less_equal(x, last), one, zero);
+                let slope = I::select(I::less_equal(zero, x), inside, zero);
+                [I::sub(zero, slope), slope]
+            }
+            Interpolation::LinearBorder => {
+                let cell = I::min(I::max(I::truncate(x), zero), last_pair);
+                let slope = |cell| {
+                    let t = I::sub(x, cell);
+                    let falling = I::select(I::less_equal(one, t), zero, minus_one);
+                    let rising = I::select(I::less_equal(minus_one, t), one, zero);
+                    I::select(I::less_equal(zero, t), falling, rising)
+                };
+                let next = I::add(cell, one);
+                [slope(cell), I::select(I::less_equal(next, last), slope(next), zero)]
+            }
+        }
+    }
+
     /// How many of a point's up to eight cells can have a weight.
     pub(crate) fn corners(self) -> usize {
         match self {
@@ -92,6 +122,8 @@ pub struct Filter {
     pub(crate) packed: AlignedVec,
     /// The filter as given, [cells, in, out], then the pointwise weights if there are any.
     plain: Vec<f32>,
+    adjoint: OnceLock<Box<Filter>>,
+    packed_by_cell: OnceLock<AlignedVec>,
 }
 
 /// Which of the two factors of the operator comes first, and the order of the packed weights.
@@ -158,6 +190,40 @@ impl Filter {
         self.plain.len() / (self.in_channels * self.out_channels)
     }
 
+    /// The filter whose operator computes the gradient of the features: input and output channels exchanged,
+    /// without a bias.
+    pub(crate) fn adjoint(&self) -> &Filter {
+        self.adjoint.get_or_init(|| {
+            let (inputs, outputs) = (self.in_channels, self.out_channels);
+            let exchanged = self.plain.chunks_exact(inputs * outputs).flat_map(|cell| {
+                (0..outputs).flat_map(move |output| cell[output..].iter().step_by(outputs).copied())
+            });
+            Box::new(Filter::build(self.cells, outputs, inputs, exchanged.collect(), Vec::new()))
+        })
+    }
+
+    /// The cells without the pointwise term as a matrix [out, cells · in], packed as [slab of input
+    /// channels][panel of cells and channels][out][column].
+    pub(crate) fn packed_by_cell(&self) -> &[f32] {
+        self.packed_by_cell.get_or_init(|| {
+            let mut packed = Vec::new();
+            for slab in self.slabs.iter() {
+                let columns = self.cells * slab.len();
+                for (first, width) in panels(columns) {
+                    for output in 0..self.out_channels {
+                        packed.extend((first..first + width).map(|column| {
+                            let (cell, channel) = (column / slab.len(), slab.start + column % slab.len());
+                            let inside = column < columns && channel < self.in_channels;
+                            let place = (cell * self.in_channels + channel) * self.out_channels + output;
+                            if inside { self.plain[place] } else { 0.0 }
+                        }));
+                    }
+                }
+            }
+            AlignedVec::from_slice(&packed)
+        })
+    }
+
     fn build(cells: usize, inputs: usize, outputs: usize, plain: Vec<f32>, bias: Vec<f32>) -> Filter {
         assert!(cells > 0 && inputs > 0 && outputs > 0, "a filter needs cells and channels");
         let one = cells * inputs * outputs;
@@ -176,7 +242,18 @@ impl Filter {
             Layout::Products { group } => pack_products(&plain, rows, inputs, outputs, group),
         };
         let packed = AlignedVec::from_slice(&packed);
-        Filter { cells, in_channels: inputs, out_channels: outputs, bias, slabs, layout, packed, plain }
+        Filter {
+            cells,
+            in_channels: inputs,
+            out_channels: outputs,
+            bias,
+            slabs,
+            layout,
+            packed,
+            plain,
+            adjoint: OnceLock::new(),
+            packed_by_cell: OnceLock::new(),
+        }
     }
 }
 

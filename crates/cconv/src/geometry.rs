@@ -7,8 +7,12 @@
 //! The pairs are stored in blocks of [`LANES`], cell by cell, so that vector instructions compute a block at
 //! once.
 
-use fluvia_neighbors::{Neighbors, Point};
+mod backward;
+
+use fluvia_neighbors::{Neighbors, Point, Transpose};
 use rayon::prelude::*;
+
+pub use backward::{PairGradient, PointGradients};
 
 use crate::filter::grid_coordinate;
 use crate::kernel::{InstructionSet, Kernel, Operation};
@@ -60,6 +64,11 @@ pub struct PointSets<'a> {
     pub importance: Option<&'a [f32]>,
     /// A window value for each pair, in the order of the neighbours, in place of [`Options::window`].
     pub window_values: Option<&'a [f32]>,
+    /// Where the input points of each cloud start, if they are several clouds: clouds + 1 entries, the last the
+    /// number of points. Empty for one cloud.
+    pub input_clouds: &'a [usize],
+    /// Where the output points of each cloud start.
+    pub output_clouds: &'a [usize],
 }
 
 impl<'a> PointSets<'a> {
@@ -70,29 +79,47 @@ impl<'a> PointSets<'a> {
         neighbors: &'a Neighbors,
         extent: Extent<'a>,
     ) -> Self {
-        PointSets { inputs, outputs, neighbors, extent, importance: None, window_values: None }
+        PointSets {
+            inputs,
+            outputs,
+            neighbors,
+            extent,
+            importance: None,
+            window_values: None,
+            input_clouds: &[],
+            output_clouds: &[],
+        }
+    }
+
+    /// The same points, said to be several clouds. Which points are neighbours is not changed by that; but sums
+    /// over points are taken cloud by cloud, so that all results are those of one call a cloud, bit for bit.
+    pub fn with_clouds(self, input_clouds: &'a [usize], output_clouds: &'a [usize]) -> Self {
+        PointSets { input_clouds, output_clouds, ..self }
     }
 
     /// # Panics
-    /// If a length or a neighbour's index does not fit the points.
+    /// If a length or a neighbour's index does not fit the points, or an extent is not a positive number.
     pub(crate) fn validate(&self) {
         let (inputs, outputs) = (self.inputs.len(), self.outputs.len());
         let splits = &self.neighbors.row_splits;
         assert_eq!(splits.len(), outputs + 1, "row splits for {outputs} output points");
-        assert!(splits.windows(2).all(|w| w[0] <= w[1]) && splits[0] == 0, "row splits must ascend from 0");
+        assert!(splits.is_sorted() && splits[0] == 0, "row splits must ascend from 0");
         let pairs = self.neighbors.indices.len();
         assert_eq!(splits[outputs], pairs, "the last row split is the number of pairs");
-        let largest = self.neighbors.indices.iter().max();
-        assert!(
-            largest.is_none_or(|&i| (i as usize) < inputs),
-            "neighbour index {largest:?} of {inputs} input points"
-        );
+        if let Some(i) = self.neighbors.indices.iter().max().filter(|&&i| i as usize >= inputs) {
+            panic!("neighbour index {i} of {inputs} input points");
+        }
         match self.extent {
-            Extent::PerPoint(extents) => assert_eq!(extents.len(), outputs, "one extent per output point"),
+            Extent::Uniform(extent) => check_extent(0, [extent; 3]),
+            Extent::PerAxis(extent) => check_extent(0, extent),
+            Extent::PerPoint(extents) => {
+                assert_eq!(extents.len(), outputs, "one extent per output point");
+                extents.iter().enumerate().for_each(|(row, &extent)| check_extent(row, [extent; 3]));
+            }
             Extent::PerPointAndAxis(extents) => {
                 assert_eq!(extents.len(), outputs, "one extent per output point");
+                extents.iter().enumerate().for_each(|(row, &extent)| check_extent(row, extent));
             }
-            Extent::Uniform(_) | Extent::PerAxis(_) => {}
         }
         if let Some(importance) = self.importance {
             assert_eq!(importance.len(), inputs, "one importance per input point");
@@ -100,7 +127,22 @@ impl<'a> PointSets<'a> {
         if let Some(values) = self.window_values {
             assert_eq!(values.len(), pairs, "one window value per pair");
         }
+        assert_eq!(self.input_clouds.len(), self.output_clouds.len(), "input and output clouds");
+        for (clouds, points) in [(self.input_clouds, inputs), (self.output_clouds, outputs)] {
+            let ends = (clouds.first(), clouds.last());
+            assert!(
+                clouds.is_empty() || ends == (Some(&0), Some(&points)) && clouds.is_sorted(),
+                "clouds must ascend from 0 to {points} points, but are {ends:?}"
+            );
+        }
     }
+}
+
+fn check_extent(row: usize, extent: [f32; 3]) {
+    assert!(
+        extent.iter().all(|&x| x > 0.0 && x.is_finite()),
+        "extent {extent:?} of output point {row}, expected positive lengths"
+    );
 }
 
 /// The filter cells of [`LANES`] pairs and their weights.
@@ -114,71 +156,144 @@ pub(crate) struct Block {
 
 const EMPTY: Block = Block { cell: [0; LANES], weights: [[0.0; LANES]; 8] };
 
+/// The pairs of a set of points, row after row, with their weights in the cells of the filter.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Lists {
+    /// The number of points that neighbours are indices of.
+    pub columns: usize,
+    /// The number of points that have neighbours.
+    pub rows: usize,
+    /// The columns of each row; without distances.
+    pub neighbors: Neighbors,
+    /// Where the rows of each cloud start.
+    pub clouds: Vec<usize>,
+    pub blocks: Vec<Block>,
+    /// How many cells a pair can have a weight in: 1 or 8.
+    pub corners: usize,
+    /// From the lowest cell of a pair to each of its cells; x changes first, then y, then z.
+    pub steps: [usize; 8],
+    pub cells: usize,
+    pub kernel: Kernel,
+}
+
+/// The same pairs by input point, for the backward pass.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Transposed {
+    pub lists: Lists,
+    /// The number of each pair in the lists that were transposed.
+    pub pairs: Vec<u32>,
+}
+
 /// The geometry of all pairs of a set of points. Its memory is reused from build to build.
 #[derive(Clone, Debug, Default)]
 pub struct Geometry {
-    pub(crate) blocks: Vec<Block>,
-    /// How many cells a pair can have a weight in: 1 or 8.
-    pub(crate) corners: usize,
-    /// From the lowest cell of a pair to each of its cells; x changes first, then y, then z.
-    pub(crate) steps: [usize; 8],
-    pub(crate) cells: usize,
-    pub(crate) inputs: usize,
-    pub(crate) outputs: usize,
-    pub(crate) kernel: Kernel,
-    pub(crate) indices: Vec<u32>,
-    pub(crate) row_splits: Vec<usize>,
+    /// The input points of every output point.
+    pub(crate) lists: Lists,
+    /// The window values divided by ψ and the ψ of each row, if they are normalised.
     windows: Vec<f32>,
+    psi: Vec<Option<f32>>,
+    /// The output points of every input point, if they were prepared.
+    transposed: Transposed,
+    is_prepared: bool,
 }
 
 impl Geometry {
     /// Computes the cells and weights of all pairs.
     ///
     /// # Panics
-    /// If lengths in `sets` do not fit each other, if a neighbour's index is out of range, or if the filter
-    /// has more than 65,536 cells or none.
+    /// If lengths in `sets` do not fit each other, if a neighbour's index is out of range, if an extent is not
+    /// a positive number, or if the filter has more than 65,536 cells or none.
     pub fn build(&mut self, options: &Options, sets: &PointSets<'_>, kernel: Kernel) {
         sets.validate();
         let cells = options.cells();
         assert!((1..=1 << 16).contains(&cells), "{cells} filter cells, expected 1 to 65,536");
         let pairs = sets.neighbors.indices.len();
-        self.corners = options.interpolation.corners();
         let [depth, height, width] = options.filter_size;
         let along = [(width, 1), (height, width), (depth, width * height)]
             .map(|(size, stride)| if size > 1 { stride } else { 0 });
-        self.steps = std::array::from_fn(|corner| {
-            (corner & 1) * along[0] + (corner >> 1 & 1) * along[1] + (corner >> 2) * along[2]
-        });
-        self.cells = cells;
-        self.inputs = sets.inputs.len();
-        self.outputs = sets.outputs.len();
-        self.kernel = kernel;
-        self.indices.clone_from(&sets.neighbors.indices);
-        self.row_splits.clone_from(&sets.neighbors.row_splits);
+        self.is_prepared = false;
         self.windows.clear();
         if options.normalize {
             self.windows.resize(pairs, 0.0);
             self.windows.par_chunks_mut(TASK_BLOCKS * LANES).enumerate().for_each(|(k, windows)| {
                 kernel.run(Windows { options, sets, first: k * TASK_BLOCKS * LANES, windows });
             });
-            normalize(&mut self.windows, &self.row_splits);
+            normalize(&mut self.windows, &sets.neighbors.row_splits, &mut self.psi);
         }
-        self.blocks.resize(pairs.div_ceil(LANES), EMPTY);
+        let lists = &mut self.lists;
+        lists.corners = options.interpolation.corners();
+        lists.steps = std::array::from_fn(|corner| {
+            (corner & 1) * along[0] + (corner >> 1 & 1) * along[1] + (corner >> 2) * along[2]
+        });
+        lists.cells = cells;
+        lists.columns = sets.inputs.len();
+        lists.rows = sets.outputs.len();
+        lists.kernel = kernel;
+        lists.neighbors.indices.clone_from(&sets.neighbors.indices);
+        lists.neighbors.row_splits.clone_from(&sets.neighbors.row_splits);
+        lists.clouds = boundaries(sets.output_clouds, sets.outputs.len());
+        self.transposed.lists.clouds = boundaries(sets.input_clouds, sets.inputs.len());
+        lists.blocks.resize(pairs.div_ceil(LANES), EMPTY);
         let given = if options.normalize { Some(self.windows.as_slice()) } else { sets.window_values };
-        self.blocks.par_chunks_mut(TASK_BLOCKS).enumerate().for_each(|(k, blocks)| {
+        lists.blocks.par_chunks_mut(TASK_BLOCKS).enumerate().for_each(|(k, blocks)| {
             kernel.run(Blocks { options, sets, given, first: k * TASK_BLOCKS * LANES, blocks });
         });
     }
+
+    /// Sorts the pairs by input point as well, which [`backward`](crate::backward) and [`Geometry::backward`]
+    /// need. Does nothing the second time.
+    pub fn prepare_backward(&mut self) {
+        if self.is_prepared {
+            return;
+        }
+        let (from, to) = (&self.lists, &mut self.transposed);
+        let mut transpose = Transpose {
+            queries: std::mem::take(&mut to.lists.neighbors),
+            pairs: std::mem::take(&mut to.pairs),
+        };
+        transpose.build(&from.neighbors, from.columns);
+        Transpose { queries: to.lists.neighbors, pairs: to.pairs } = transpose;
+        let Lists { neighbors: _, clouds: _, blocks, columns, rows, corners, steps, cells, kernel } =
+            &mut to.lists;
+        (*columns, *rows) = (from.rows, from.columns);
+        (*corners, *steps, *cells, *kernel) = (from.corners, from.steps, from.cells, from.kernel);
+        blocks.resize(from.blocks.len(), EMPTY);
+        blocks.par_iter_mut().zip(to.pairs.par_chunks(LANES)).for_each(|(block, pairs)| {
+            *block = EMPTY;
+            for (lane, &pair) in pairs.iter().enumerate() {
+                let (from, from_lane) = (&from.blocks[pair as usize / LANES], pair as usize % LANES);
+                block.cell[lane] = from.cell[from_lane];
+                for (to, from) in block.weights.iter_mut().zip(&from.weights) {
+                    to[lane] = from[from_lane];
+                }
+            }
+        });
+        self.is_prepared = true;
+    }
+
+    /// # Panics
+    /// If they were not prepared.
+    pub(crate) fn transposed(&self) -> &Transposed {
+        assert!(self.is_prepared, "a backward pass needs Geometry::prepare_backward after the build");
+        &self.transposed
+    }
 }
 
-/// Divides the window values of each row by their sum, ψ of Eq. 9.
-fn normalize(windows: &mut [f32], row_splits: &[usize]) {
+/// Where clouds start; without any, all points are one.
+pub(crate) fn boundaries(clouds: &[usize], points: usize) -> Vec<usize> {
+    if clouds.is_empty() { vec![0, points] } else { clouds.to_vec() }
+}
+
+/// Divides the window values of each row by their sum, ψ of Eq. 9, if that is not zero.
+fn normalize(windows: &mut [f32], row_splits: &[usize], psi: &mut Vec<Option<f32>>) {
+    psi.clear();
     for row in row_splits.windows(2) {
         let row = &mut windows[row[0]..row[1]];
-        let sum: f32 = row.iter().sum();
-        if sum != 0.0 {
+        let sum = Some(row.iter().sum()).filter(|&sum: &f32| sum != 0.0);
+        if let Some(sum) = sum {
             row.iter_mut().for_each(|window| *window /= sum);
         }
+        psi.push(sum);
     }
 }
 

@@ -145,8 +145,13 @@ pub(crate) trait InstructionSet {
     /// Asks for the cache line of `value`, where there is such an instruction.
     fn prefetch(value: &f32);
 
+    /// The sum of all lanes.
+    fn sum(x: Self::Vector) -> f32;
+
     /// c += a · b, see [`Product`].
     fn multiply(product: Product<'_>);
+    /// c += aᵀ · b, see [`Outer`].
+    fn multiply_outer(outer: Outer<'_>);
 }
 
 /// c += a · b for a few rows: a is [rows, depth], b a panel [depth, width], c [rows, width].
@@ -173,6 +178,33 @@ impl Product<'_> {
         assert!(self.a.len() >= (ROWS - 1) * self.a_stride + self.depth, "{ROWS} rows of a");
         assert!(self.b.len() >= self.depth * self.width, "a whole panel of b");
         assert!(self.c.len() >= (ROWS - 1) * self.c_stride + self.width, "{ROWS} rows of c");
+    }
+}
+
+/// c += aᵀ · b: a is [depth, rows], b a panel [depth, width], c [rows, width].
+///
+/// `rows` is a multiple of 4, `width` a multiple of 16 and at most [`PANEL`].
+pub(crate) struct Outer<'a> {
+    pub rows: usize,
+    pub depth: usize,
+    pub width: usize,
+    pub a: &'a [f32],
+    pub a_stride: usize,
+    pub b: &'a [f32],
+    pub c: &'a mut [f32],
+    pub c_stride: usize,
+}
+
+impl Outer<'_> {
+    /// # Panics
+    /// If the slices are too short, so that a kernel can work with pointers after this.
+    #[inline(always)]
+    fn validate(&self) {
+        let Outer { rows, depth, width, a_stride, c_stride, .. } = *self;
+        assert!(rows.is_multiple_of(4) && width <= PANEL && width.is_multiple_of(16), "a tile's shape");
+        assert!(depth == 0 || self.a.len() >= (depth - 1) * a_stride + rows, "{depth} rows of a");
+        assert!(self.b.len() >= depth * width, "a whole panel of b");
+        assert!(rows == 0 || self.c.len() >= (rows - 1) * c_stride + width, "{rows} rows of c");
     }
 }
 

@@ -55,9 +55,12 @@ mod mapping;
 pub mod reference;
 mod window;
 
-pub use cpu::{Columns, Dense, Workspace, dense, forward, forward_into};
+pub use cpu::{
+    Columns, Dense, DenseGradients, Gradients, Workspace, backward, dense, dense_backward, forward,
+    forward_into,
+};
 pub use filter::{Filter, Interpolation};
-pub use geometry::{Extent, Geometry, PointSets};
+pub use geometry::{Extent, Geometry, PairGradient, PointGradients, PointSets};
 pub use kernel::Kernel;
 pub use mapping::Mapping;
 pub use window::Window;
@@ -80,6 +83,16 @@ pub struct Options {
     /// Whether to divide by the sum of the window values (ψ of Eq. 9). The importance is not part of that
     /// sum. An output point without neighbours gives 0.
     pub normalize: bool,
+}
+
+/// Whether the positions of points count as variables or as constants in a backward pass.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum PositionGradient {
+    /// The exact derivatives, through the mapping, the interpolation and the window.
+    #[default]
+    Full,
+    /// Constants, as in the published code: its layer has no derivative by positions.
+    Stop,
 }
 
 impl Default for Options {

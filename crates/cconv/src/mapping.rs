@@ -31,6 +31,113 @@ impl Mapping {
     }
 }
 
+impl Mapping {
+    /// (∂Λ/∂p)ᵀ u: the derivatives by points of the ball from those by their images. 0 at the centre of the ball,
+    /// and across the axis on it, where Λ has none.
+    #[inline(always)]
+    pub(crate) fn pull_back<I: InstructionSet>(self, p: [I::Vector; 3], u: [I::Vector; 3]) -> [I::Vector; 3] {
+        match self {
+            Mapping::VolumePreserving => {
+                let u = pull_back_cube::<I>(ball_to_cylinder::<I>(p), u);
+                pull_back_cylinder::<I>(p, u)
+            }
+            Mapping::Radial => pull_back_radial::<I>(p, u),
+            Mapping::Identity => u,
+        }
+    }
+}
+
+/// Where a distance counts as zero in a derivative: far below the distance of any two float32 positions of one
+/// magnitude, and its square is still above zero.
+const COINCIDENT: f32 = 1e-15;
+
+#[inline(always)]
+fn pull_back_radial<I: InstructionSet>([x, y, z]: [I::Vector; 3], u: [I::Vector; 3]) -> [I::Vector; 3] {
+    let zero = I::splat(0.0);
+    let norm = I::sqrt(I::add(I::add(I::mul(x, x), I::mul(y, y)), I::mul(z, z)));
+    let at_centre = I::less_equal(norm, I::splat(COINCIDENT));
+    // Of equal coordinates the first leads.
+    let x_leads = I::less_equal(I::max(I::abs(y), I::abs(z)), I::abs(x));
+    let y_leads = I::less_equal(I::abs(z), I::abs(y));
+    let largest = I::select(x_leads, x, I::select(y_leads, y, z));
+    let inverse = I::div(I::splat(1.0), largest);
+    let scale = I::mul(norm, I::abs(inverse));
+    let along = I::add(I::add(I::mul(u[0], x), I::mul(u[1], y)), I::mul(u[2], z));
+    let by_norm = I::div(I::mul(along, I::abs(inverse)), norm);
+    let by_largest = I::mul(I::mul(along, scale), inverse);
+    let leading = [
+        I::select(x_leads, by_largest, zero),
+        I::select(x_leads, zero, I::select(y_leads, by_largest, zero)),
+        I::select(x_leads, zero, I::select(y_leads, zero, by_largest)),
+    ];
+    let p = [x, y, z];
+    std::array::from_fn(|axis| {
+        let sum = I::multiply_add(p[axis], by_norm, I::mul(u[axis], scale));
+        I::select(at_centre, zero, I::sub(sum, leading[axis]))
+    })
+}
+
+/// The adjoint of [`ball_to_cylinder`]'s derivative.
+#[inline(always)]
+fn pull_back_cylinder<I: InstructionSet>([x, y, z]: [I::Vector; 3], u: [I::Vector; 3]) -> [I::Vector; 3] {
+    let (zero, one, coincident) = (I::splat(0.0), I::splat(1.0), I::splat(COINCIDENT));
+    let planar_square = I::add(I::mul(x, x), I::mul(y, y));
+    let z_square = I::mul(z, z);
+    let norm = I::sqrt(I::add(planar_square, z_square));
+    let at_centre = I::less_equal(norm, coincident);
+    let inverse = I::div(one, I::max(norm, coincident));
+    let along = I::add(I::mul(u[0], x), I::mul(u[1], y));
+    // scale = norm / planar
+    let inverse_planar = I::div(one, I::max(I::sqrt(planar_square), coincident));
+    let side = I::mul(norm, inverse_planar);
+    let steepness = I::mul(z, inverse_planar);
+    let side_planar =
+        I::mul(I::mul(I::mul(steepness, steepness), I::mul(inverse, inverse_planar)), I::sub(zero, along));
+    let side_height =
+        I::multiply_add(I::mul(along, I::mul(z, inverse)), inverse_planar, I::mul(I::splat(1.5), u[2]));
+    // scale² = 3 norm / (norm + |z|)
+    let sum = I::max(I::add(norm, I::abs(z)), coincident);
+    let cap = I::sqrt(I::div(I::mul(I::splat(3.0), norm), sum));
+    let half = I::div(
+        I::mul(I::mul(I::splat(1.5), along), inverse),
+        I::max(I::mul(cap, I::mul(sum, sum)), I::splat(f32::MIN_POSITIVE)),
+    );
+    let sign = I::copysign(one, z);
+    let upwards = I::mul(I::mul(u[2], sign), inverse);
+    let cap_planar = I::multiply_add(half, I::abs(z), upwards);
+    let cap_height = I::sub(I::mul(upwards, z), I::mul(half, I::mul(sign, planar_square)));
+    let on_side = I::less_equal(I::mul(I::splat(1.25), z_square), planar_square);
+    let scale = I::select(on_side, side, cap);
+    let planar = I::select(on_side, side_planar, cap_planar);
+    let height = I::select(on_side, side_height, cap_height);
+    [
+        I::select(at_centre, zero, I::multiply_add(x, planar, I::mul(scale, u[0]))),
+        I::select(at_centre, zero, I::multiply_add(y, planar, I::mul(scale, u[1]))),
+        I::select(at_centre, zero, height),
+    ]
+}
+
+/// The adjoint of [`cylinder_to_cube`]'s derivative.
+#[inline(always)]
+fn pull_back_cube<I: InstructionSet>([x, y, _]: [I::Vector; 3], u: [I::Vector; 3]) -> [I::Vector; 3] {
+    let (zero, coincident) = (I::splat(0.0), I::splat(COINCIDENT));
+    let x_leads = I::less_equal(I::abs(y), I::abs(x));
+    let (long, short) = (I::select(x_leads, x, y), I::select(x_leads, y, x));
+    let (u_long, u_short) = (I::select(x_leads, u[0], u[1]), I::select(x_leads, u[1], u[0]));
+    let planar = I::sqrt(I::add(I::mul(x, x), I::mul(y, y)));
+    let on_axis = I::less_equal(planar, coincident);
+    let inverse = I::div(I::splat(1.0), I::copysign(I::max(planar, coincident), long));
+    let magnitude = I::max(I::abs(long), I::splat(f32::MIN_POSITIVE));
+    let angle = arctan_over_quarter_turn::<I>(I::div(short, I::copysign(magnitude, long)));
+    // The radius with the sign of the longer coordinate, and that times the angle.
+    let by_radius = I::multiply_add(u_short, angle, u_long);
+    let by_angle = I::mul(u_short, I::splat(1.0 / FRAC_PI_4));
+    let by_long = I::mul(I::sub(I::mul(by_radius, long), I::mul(by_angle, short)), inverse);
+    let by_short = I::mul(I::add(I::mul(by_radius, short), I::mul(by_angle, long)), inverse);
+    let (by_long, by_short) = (I::select(on_axis, zero, by_long), I::select(on_axis, zero, by_short));
+    [I::select(x_leads, by_long, by_short), I::select(x_leads, by_short, by_long), u[2]]
+}
+
 #[inline(always)]
 fn radial<I: InstructionSet>([x, y, z]: [I::Vector; 3]) -> [I::Vector; 3] {
     let largest = I::max(I::max(I::abs(x), I::abs(y)), I::abs(z));

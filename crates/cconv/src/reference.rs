@@ -1,11 +1,50 @@
-//! The operator in float64 as a double loop: the specification of everything else in this crate.
+//! The operator in float64 as double loops, forward and backward: the specification of everything else in this
+//! crate.
 //!
 //! Written from the equations, without the tricks of the fast path: Eq. 7-9 for the sum, Eq. 19-21 for the
-//! mapping.
+//! mapping. Derivatives at kinks follow the conventions of [`gradients`](crate::backward).
 
 use std::f64::consts::PI;
 
+use fluvia_neighbors::Neighbors;
+
 use crate::{Interpolation, Mapping, Options, PointSets, Window};
+
+/// [`PointSets`] in float64.
+#[derive(Clone, Debug)]
+pub struct Sets {
+    /// Input points x_i.
+    pub inputs: Vec<[f64; 3]>,
+    /// Output points x.
+    pub outputs: Vec<[f64; 3]>,
+    /// The input points near each output point.
+    pub neighbors: Neighbors,
+    /// The filter's diameter at each output point along each axis.
+    pub extent: Vec<[f64; 3]>,
+    /// The importance m_i of each input point; 1 if absent.
+    pub importance: Option<Vec<f64>>,
+    /// A window value for each pair, in place of [`Options::window`].
+    pub window_values: Option<Vec<f64>>,
+}
+
+impl From<&PointSets<'_>> for Sets {
+    fn from(sets: &PointSets<'_>) -> Sets {
+        sets.validate();
+        Sets {
+            inputs: sets.inputs.iter().map(|x| x.map(f64::from)).collect(),
+            outputs: sets.outputs.iter().map(|x| x.map(f64::from)).collect(),
+            neighbors: sets.neighbors.clone(),
+            extent: (0..sets.outputs.len()).map(|row| sets.extent.of(row).map(f64::from)).collect(),
+            importance: sets.importance.map(widen),
+            window_values: sets.window_values.map(widen),
+        }
+    }
+}
+
+/// The same values in float64.
+pub fn widen(values: &[f32]) -> Vec<f64> {
+    values.iter().map(|&x| f64::from(x)).collect()
+}
 
 /// The weights of one layer as plain slices.
 #[derive(Clone, Copy, Debug)]
@@ -15,74 +54,245 @@ pub struct Weights<'a> {
     /// Channels of the output.
     pub out_channels: usize,
     /// The filter, [depth, height, width, in, out].
-    pub filter: &'a [f32],
+    pub filter: &'a [f64],
     /// One value per output channel; 0 if absent.
-    pub bias: Option<&'a [f32]>,
+    pub bias: Option<&'a [f64]>,
     /// Weights [in, out] for the output point's own features; the input and output points are then the same.
-    pub pointwise: Option<&'a [f32]>,
+    pub pointwise: Option<&'a [f64]>,
+}
+
+/// The derivatives of a number L that depends on the output. Those of weights and options that are absent are
+/// those at their default.
+#[derive(Clone, Debug, Default)]
+pub struct Gradients {
+    /// [depth, height, width, in, out].
+    pub filter: Vec<f64>,
+    /// One per output channel.
+    pub bias: Vec<f64>,
+    /// [in, out]; empty if there is no pointwise term.
+    pub pointwise: Vec<f64>,
+    /// [input points, in channels].
+    pub features: Vec<f64>,
+    /// One per input point.
+    pub importance: Vec<f64>,
+    /// One per pair: by the window value, given or not.
+    pub window_values: Vec<f64>,
+    /// One per input point. Window values that are given do not depend on it.
+    pub input_positions: Vec<[f64; 3]>,
+    /// One per output point.
+    pub output_positions: Vec<[f64; 3]>,
 }
 
 /// Computes Eq. 7 for every output point: [output points, out channels].
 ///
 /// # Panics
 /// If lengths do not fit each other.
-pub fn forward(options: &Options, sets: &PointSets<'_>, weights: &Weights<'_>, features: &[f64]) -> Vec<f64> {
-    sets.validate();
+pub fn forward(options: &Options, sets: &Sets, weights: &Weights<'_>, features: &[f64]) -> Vec<f64> {
+    check(options, sets, weights, features);
     let (inputs, outputs) = (weights.in_channels, weights.out_channels);
-    assert_eq!(features.len(), sets.inputs.len() * inputs, "features are [input points, in channels]");
-    assert_eq!(weights.filter.len(), options.cells() * inputs * outputs, "the filter's size");
     let mut result = vec![0.0; sets.outputs.len() * outputs];
     for (row, output) in result.chunks_exact_mut(outputs).enumerate() {
-        let mut psi = 0.0;
-        for pair in sets.neighbors.row_splits[row]..sets.neighbors.row_splits[row + 1] {
-            let i = sets.neighbors.indices[pair] as usize;
-            let r = relative(sets, row, i);
-            let a = match sets.window_values {
-                Some(values) => f64::from(values[pair]),
-                None => window(options.window, r),
-            };
-            psi += a;
-            let importance = sets.importance.map_or(1.0, |m| f64::from(m[i]));
-            let f = &features[i * inputs..(i + 1) * inputs];
-            for (cell, share) in interpolate(options, map(options.mapping, r)) {
-                let g = &weights.filter[cell * inputs * outputs..(cell + 1) * inputs * outputs];
-                add_product(output, a * importance * share, f, g);
+        let pairs = Pair::of_row(options, sets, row);
+        for pair in &pairs {
+            let f = &features[pair.i * inputs..(pair.i + 1) * inputs];
+            for corner in &pair.corners {
+                let g = &weights.filter[corner.cell * inputs * outputs..][..inputs * outputs];
+                add_product(output, pair.window * pair.importance * corner.share, f, g);
             }
         }
-        if options.normalize && psi != 0.0 {
-            output.iter_mut().for_each(|value| *value /= psi);
-        }
+        let psi = psi(options, &pairs);
+        output.iter_mut().for_each(|value| *value /= psi);
         if let Some(pointwise) = weights.pointwise {
             add_product(output, 1.0, &features[row * inputs..(row + 1) * inputs], pointwise);
         }
         if let Some(bias) = weights.bias {
-            output.iter_mut().zip(bias).for_each(|(value, b)| *value += f64::from(*b));
+            output.iter_mut().zip(bias).for_each(|(value, b)| *value += b);
         }
     }
     result
 }
 
-/// output += scale · f · g, with g of shape [in, out].
-fn add_product(output: &mut [f64], scale: f64, f: &[f64], g: &[f32]) {
-    for (value, row) in f.iter().zip(g.chunks_exact(output.len())) {
-        for (sum, weight) in output.iter_mut().zip(row) {
-            *sum += scale * value * f64::from(*weight);
+/// The derivatives of L from those by the output, [output points, out channels].
+///
+/// # Panics
+/// If lengths do not fit each other.
+pub fn backward(
+    options: &Options,
+    sets: &Sets,
+    weights: &Weights<'_>,
+    features: &[f64],
+    output_gradient: &[f64],
+) -> Gradients {
+    check(options, sets, weights, features);
+    let (inputs, outputs) = (weights.in_channels, weights.out_channels);
+    assert_eq!(
+        output_gradient.len(),
+        sets.outputs.len() * outputs,
+        "gradients are [output points, out channels]"
+    );
+    let mut gradients = Gradients {
+        filter: vec![0.0; weights.filter.len()],
+        bias: vec![0.0; outputs],
+        pointwise: vec![0.0; weights.pointwise.map_or(0, <[f64]>::len)],
+        features: vec![0.0; features.len()],
+        importance: vec![0.0; sets.inputs.len()],
+        window_values: vec![0.0; sets.neighbors.indices.len()],
+        input_positions: vec![[0.0; 3]; sets.inputs.len()],
+        output_positions: vec![[0.0; 3]; sets.outputs.len()],
+    };
+    for (row, d_output) in output_gradient.chunks_exact(outputs).enumerate() {
+        gradients.bias.iter_mut().zip(d_output).for_each(|(sum, d)| *sum += d);
+        if let Some(pointwise) = weights.pointwise {
+            let own = row * inputs..(row + 1) * inputs;
+            add_outer(&mut gradients.pointwise, 1.0, &features[own.clone()], d_output);
+            add_transposed_product(&mut gradients.features[own], 1.0, pointwise, d_output);
+        }
+        let pairs = Pair::of_row(options, sets, row);
+        let psi = psi(options, &pairs);
+        // The output before the pointwise term and the bias, times its gradient.
+        let mut mean = 0.0;
+        let first = sets.neighbors.row_splits[row];
+        let mut by_window = vec![0.0; pairs.len()];
+        for (pair, by_window) in pairs.iter().zip(&mut by_window) {
+            let own = pair.i * inputs..(pair.i + 1) * inputs;
+            let f = &features[own.clone()];
+            let (mut by_weight, mut by_position) = (0.0, [0.0; 3]);
+            for corner in &pair.corners {
+                let cell = corner.cell * inputs * outputs..(corner.cell + 1) * inputs * outputs;
+                let weight = pair.window * pair.importance * corner.share / psi;
+                add_outer(&mut gradients.filter[cell.clone()], weight, f, d_output);
+                let g = &weights.filter[cell];
+                add_transposed_product(&mut gradients.features[own.clone()], weight, g, d_output);
+                // f · g · dL/d output: the derivative by the weight of this cell.
+                let by_cell: f64 = f
+                    .iter()
+                    .zip(g.chunks_exact(outputs))
+                    .map(|(f, g)| f * g.iter().zip(d_output).map(|(g, d)| g * d).sum::<f64>())
+                    .sum();
+                by_weight += corner.share * by_cell / psi;
+                for axis in 0..3 {
+                    by_position[axis] += pair.window * pair.importance * corner.slope[axis] * by_cell / psi;
+                }
+            }
+            gradients.importance[pair.i] += pair.window * by_weight;
+            *by_window = pair.importance * by_weight;
+            mean += pair.window * pair.importance * by_weight;
+            pair.add_position(sets, row, by_position, &pair.map_slope, &mut gradients);
+        }
+        for (k, (pair, by_window)) in pairs.iter().zip(by_window).enumerate() {
+            // ψ depends on every window value of the row.
+            let by_window =
+                if options.normalize && psi_is_sum(&pairs) { by_window - mean / psi } else { by_window };
+            gradients.window_values[first + k] = by_window;
+            if sets.window_values.is_none() {
+                let slope = window_slope(options.window, pair.r).map(|slope| slope * by_window);
+                pair.add_position(sets, row, slope, &IDENTITY, &mut gradients);
+            }
+        }
+    }
+    gradients
+}
+
+const IDENTITY: [[f64; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+
+/// An output point and one of its neighbours.
+struct Pair {
+    /// The input point.
+    i: usize,
+    /// (x_i − x) / R.
+    r: [f64; 3],
+    window: f64,
+    importance: f64,
+    corners: Vec<Corner>,
+    /// ∂Λ/∂r, a row for each coordinate of Λ.
+    map_slope: [[f64; 3]; 3],
+}
+
+impl Pair {
+    fn of_row(options: &Options, sets: &Sets, row: usize) -> Vec<Pair> {
+        let Neighbors { indices, row_splits, .. } = &sets.neighbors;
+        (row_splits[row]..row_splits[row + 1])
+            .map(|pair| {
+                let i = indices[pair] as usize;
+                let r = std::array::from_fn(|axis| {
+                    (sets.inputs[i][axis] - sets.outputs[row][axis]) / (sets.extent[row][axis] / 2.0)
+                });
+                Pair {
+                    i,
+                    r,
+                    window: sets
+                        .window_values
+                        .as_ref()
+                        .map_or_else(|| window(options.window, r), |a| a[pair]),
+                    importance: sets.importance.as_ref().map_or(1.0, |m| m[i]),
+                    corners: interpolate(options, map(options.mapping, r)),
+                    map_slope: map_slope(options.mapping, r),
+                }
+            })
+            .collect()
+    }
+
+    /// Adds to the derivatives by both positions, given those by a function of r and that function's slope.
+    fn add_position(
+        &self,
+        sets: &Sets,
+        row: usize,
+        by_function: [f64; 3],
+        slope: &[[f64; 3]; 3],
+        gradients: &mut Gradients,
+    ) {
+        for axis in 0..3 {
+            let by_r: f64 = (0..3).map(|k| by_function[k] * slope[k][axis]).sum();
+            let by_x = by_r / (sets.extent[row][axis] / 2.0);
+            gradients.input_positions[self.i][axis] += by_x;
+            gradients.output_positions[row][axis] -= by_x;
         }
     }
 }
 
-/// (x_i − x) / R, with R half the extent along each axis.
-fn relative(sets: &PointSets<'_>, row: usize, i: usize) -> [f64; 3] {
-    let extent = sets.extent.of(row);
-    std::array::from_fn(|axis| {
-        let difference = f64::from(sets.inputs[i][axis]) - f64::from(sets.outputs[row][axis]);
-        difference / (f64::from(extent[axis]) / 2.0)
-    })
+/// ψ of Eq. 7: 1, or the sum of the window values. A row whose window values sum to zero is not divided.
+fn psi(options: &Options, pairs: &[Pair]) -> f64 {
+    if options.normalize && psi_is_sum(pairs) { pairs.iter().map(|pair| pair.window).sum() } else { 1.0 }
+}
+
+fn psi_is_sum(pairs: &[Pair]) -> bool {
+    pairs.iter().map(|pair| pair.window).sum::<f64>() != 0.0
+}
+
+fn check(options: &Options, sets: &Sets, weights: &Weights<'_>, features: &[f64]) {
+    let (inputs, outputs) = (weights.in_channels, weights.out_channels);
+    assert_eq!(sets.neighbors.queries(), sets.outputs.len(), "a row of neighbours for each output point");
+    assert_eq!(sets.extent.len(), sets.outputs.len(), "an extent for each output point");
+    assert_eq!(features.len(), sets.inputs.len() * inputs, "features are [input points, in channels]");
+    assert_eq!(weights.filter.len(), options.cells() * inputs * outputs, "the filter's size");
+}
+
+/// output += scale · f · g, with g of shape [in, out].
+fn add_product(output: &mut [f64], scale: f64, f: &[f64], g: &[f64]) {
+    for (value, row) in f.iter().zip(g.chunks_exact(output.len())) {
+        for (sum, weight) in output.iter_mut().zip(row) {
+            *sum += scale * value * weight;
+        }
+    }
+}
+
+/// g += scale · f ⊗ d, of shape [in, out].
+fn add_outer(g: &mut [f64], scale: f64, f: &[f64], d: &[f64]) {
+    for (row, value) in g.chunks_exact_mut(d.len()).zip(f) {
+        row.iter_mut().zip(d).for_each(|(sum, d)| *sum += scale * value * d);
+    }
+}
+
+/// f += scale · g · d, with g of shape [in, out].
+fn add_transposed_product(f: &mut [f64], scale: f64, g: &[f64], d: &[f64]) {
+    for (sum, row) in f.iter_mut().zip(g.chunks_exact(d.len())) {
+        *sum += scale * row.iter().zip(d).map(|(g, d)| g * d).sum::<f64>();
+    }
 }
 
 /// The window a of Eq. 8 at the normalised position `r`.
 pub fn window(window: Window, r: [f64; 3]) -> f64 {
-    let q = r.iter().map(|x| x * x).sum::<f64>();
+    let q = norm_square(r);
     match window {
         Window::Poly6 => (1.0 - q).max(0.0).powi(3),
         Window::Triangular => (1.0 - q.sqrt()).max(0.0),
@@ -90,75 +300,194 @@ pub fn window(window: Window, r: [f64; 3]) -> f64 {
     }
 }
 
+/// ∂a/∂r.
+fn window_slope(window: Window, r: [f64; 3]) -> [f64; 3] {
+    let q = norm_square(r);
+    match window {
+        Window::Poly6 => r.map(|x| -6.0 * x * (1.0 - q).max(0.0).powi(2)),
+        Window::Triangular if q > 0.0 && q < 1.0 => r.map(|x| -x / q.sqrt()),
+        Window::Triangular | Window::None => [0.0; 3],
+    }
+}
+
+fn norm_square(r: [f64; 3]) -> f64 {
+    r.iter().map(|x| x * x).sum()
+}
+
 /// Λ of Eq. 19-21 before the shift to [0, 1]: from the unit ball to [−1, 1]³.
 pub fn map(mapping: Mapping, r: [f64; 3]) -> [f64; 3] {
-    let [x, y, z] = r;
-    let norm = (x * x + y * y + z * z).sqrt();
+    let norm = norm_square(r).sqrt();
     if norm == 0.0 {
         return [0.0; 3];
     }
     match mapping {
         Mapping::Identity => r,
-        Mapping::Radial => r.map(|c| c * norm / x.abs().max(y.abs()).max(z.abs())),
+        Mapping::Radial => r.map(|c| c * norm / largest(r).abs()),
+        Mapping::VolumePreserving => cylinder_to_cube(ball_to_cylinder(r)),
+    }
+}
+
+/// ∂Λ/∂r, a row for each coordinate of Λ.
+fn map_slope(mapping: Mapping, r: [f64; 3]) -> [[f64; 3]; 3] {
+    let norm = norm_square(r).sqrt();
+    match mapping {
+        Mapping::Identity => IDENTITY,
+        _ if norm == 0.0 => [[0.0; 3]; 3],
+        Mapping::Radial => {
+            let largest = largest(r);
+            let leading = r.iter().position(|&x| x == largest).unwrap_or(0);
+            let scale = norm / largest.abs();
+            std::array::from_fn(|k| {
+                std::array::from_fn(|axis| {
+                    let by_norm = r[k] * r[axis] / (norm * largest.abs());
+                    let by_largest = if axis == leading { -r[k] * scale / largest } else { 0.0 };
+                    by_norm + by_largest + if axis == k { scale } else { 0.0 }
+                })
+            })
+        }
         Mapping::VolumePreserving => {
-            let planar = (x * x + y * y).sqrt();
-            // Eq. 19
-            let (x, y, z) = if 1.25 * z * z <= x * x + y * y {
-                (x * norm / planar, y * norm / planar, 1.5 * z)
-            } else {
-                let scale = (3.0 * norm / (norm + z.abs())).sqrt();
-                (x * scale, y * scale, z.signum() * norm)
-            };
-            // Eq. 20
-            let planar = (x * x + y * y).sqrt();
-            if planar == 0.0 {
-                [0.0, 0.0, z]
-            } else if y.abs() <= x.abs() {
-                [x.signum() * planar, 4.0 / PI * x.signum() * planar * (y / x).atan(), z]
-            } else {
-                [4.0 / PI * y.signum() * planar * (x / y).atan(), y.signum() * planar, z]
-            }
+            product(cylinder_to_cube_slope(ball_to_cylinder(r)), ball_to_cylinder_slope(r))
         }
     }
 }
 
-/// The filter cells around a position of the cube [−1, 1]³ and their shares.
-pub fn interpolate(options: &Options, position: [f64; 3]) -> Vec<(usize, f64)> {
+/// The coordinate of the largest magnitude; the first of equal ones.
+fn largest(r: [f64; 3]) -> f64 {
+    r.into_iter().fold(0.0, |a: f64, x| if x.abs() > a.abs() { x } else { a })
+}
+
+/// Eq. 19.
+fn ball_to_cylinder([x, y, z]: [f64; 3]) -> [f64; 3] {
+    let (norm, planar) = ((x * x + y * y + z * z).sqrt(), (x * x + y * y).sqrt());
+    if 1.25 * z * z <= x * x + y * y {
+        [x * norm / planar, y * norm / planar, 1.5 * z]
+    } else {
+        let scale = (3.0 * norm / (norm + z.abs())).sqrt();
+        [x * scale, y * scale, z.signum() * norm]
+    }
+}
+
+fn ball_to_cylinder_slope([x, y, z]: [f64; 3]) -> [[f64; 3]; 3] {
+    let (norm, planar) = ((x * x + y * y + z * z).sqrt(), (x * x + y * y).sqrt());
+    let planar_rows = |scale: f64, slope: [f64; 3]| -> [[f64; 3]; 2] {
+        let row = |x: f64| slope.map(|slope| x * slope);
+        let (mut first, mut second) = (row(x), row(y));
+        first[0] += scale;
+        second[1] += scale;
+        [first, second]
+    };
+    if 1.25 * z * z <= x * x + y * y {
+        // scale = norm / planar
+        let by_planar = -z * z / (norm * planar.powi(3));
+        let [first, second] = planar_rows(norm / planar, [x * by_planar, y * by_planar, z / (norm * planar)]);
+        [first, second, [0.0, 0.0, 1.5]]
+    } else {
+        // scale² = 3 norm / (norm + |z|)
+        let scale = (3.0 * norm / (norm + z.abs())).sqrt();
+        let half = 1.5 / (scale * norm * (norm + z.abs()).powi(2));
+        let slope = [half * z.abs() * x, half * z.abs() * y, -half * z.signum() * planar * planar];
+        let [first, second] = planar_rows(scale, slope);
+        [first, second, [x, y, z].map(|c| z.signum() * c / norm)]
+    }
+}
+
+/// Eq. 20.
+fn cylinder_to_cube([x, y, z]: [f64; 3]) -> [f64; 3] {
+    let planar = (x * x + y * y).sqrt();
+    if planar == 0.0 {
+        [0.0, 0.0, z]
+    } else if y.abs() <= x.abs() {
+        [x.signum() * planar, 4.0 / PI * x.signum() * planar * (y / x).atan(), z]
+    } else {
+        [4.0 / PI * y.signum() * planar * (x / y).atan(), y.signum() * planar, z]
+    }
+}
+
+fn cylinder_to_cube_slope([x, y, _]: [f64; 3]) -> [[f64; 3]; 3] {
+    let planar = (x * x + y * y).sqrt();
+    // By the longer coordinate, then by the shorter: of the radius with the sign of the longer, and of that
+    // times 4/π arctan(short / long).
+    let slopes = |long: f64, short: f64| {
+        let (sign, angle) = (long.signum(), (short / long).atan());
+        let radius = [sign * long / planar, sign * short / planar];
+        let turn = [-sign * short / planar, sign * long / planar];
+        (radius, [0, 1].map(|k| 4.0 / PI * (radius[k] * angle + turn[k])))
+    };
+    if planar == 0.0 {
+        [[0.0; 3], [0.0; 3], [0.0, 0.0, 1.0]]
+    } else if y.abs() <= x.abs() {
+        let (radius, angle) = slopes(x, y);
+        [[radius[0], radius[1], 0.0], [angle[0], angle[1], 0.0], [0.0, 0.0, 1.0]]
+    } else {
+        let (radius, angle) = slopes(y, x);
+        [[angle[1], angle[0], 0.0], [radius[1], radius[0], 0.0], [0.0, 0.0, 1.0]]
+    }
+}
+
+fn product(a: [[f64; 3]; 3], b: [[f64; 3]; 3]) -> [[f64; 3]; 3] {
+    a.map(|row| std::array::from_fn(|column| (0..3).map(|k| row[k] * b[k][column]).sum()))
+}
+
+/// A filter cell near a point of the cube.
+#[derive(Clone, Copy, Debug)]
+struct Corner {
+    cell: usize,
+    share: f64,
+    /// ∂share / ∂ position in the cube, along x, y and z.
+    slope: [f64; 3],
+}
+
+/// The filter cells around a position of the cube [−1, 1]³.
+fn interpolate(options: &Options, position: [f64; 3]) -> Vec<Corner> {
     let [depth, height, width] = options.filter_size;
-    let axes: [Vec<(usize, f64)>; 3] = std::array::from_fn(|axis| {
+    // Cells, shares and slopes along each axis.
+    let axes: [Vec<(usize, f64, f64)>; 3] = std::array::from_fn(|axis| {
         let size = [width, height, depth][axis];
         let span = if options.align_corners { size as f64 - 1.0 } else { size as f64 };
         // Eq. 21, then from [0, 1] to cells counted from the centre of the first.
         let unit = 0.5 * position[axis] + 0.5;
         let shift = if options.align_corners { 0.0 } else { -0.5 };
-        along(options.interpolation, unit * span + shift + f64::from(options.offset[axis]), size)
+        let along = along(options.interpolation, unit * span + shift + f64::from(options.offset[axis]), size);
+        along.into_iter().map(|(cell, share, slope)| (cell, share, 0.5 * span * slope)).collect()
     });
-    let mut cells = Vec::new();
-    for (z, share_z) in &axes[2] {
-        for (y, share_y) in &axes[1] {
-            for (x, share_x) in &axes[0] {
-                cells.push(((z * height + y) * width + x, share_x * share_y * share_z));
+    let mut corners = Vec::new();
+    for (z, share_z, slope_z) in &axes[2] {
+        for (y, share_y, slope_y) in &axes[1] {
+            for (x, share_x, slope_x) in &axes[0] {
+                corners.push(Corner {
+                    cell: (z * height + y) * width + x,
+                    share: share_x * share_y * share_z,
+                    slope: [
+                        slope_x * share_y * share_z,
+                        share_x * slope_y * share_z,
+                        share_x * share_y * slope_z,
+                    ],
+                });
             }
         }
     }
-    cells
+    corners
 }
 
-fn along(interpolation: Interpolation, x: f64, size: usize) -> Vec<(usize, f64)> {
+/// Cells, their shares and the slopes of these at the coordinate x, in cells.
+fn along(interpolation: Interpolation, x: f64, size: usize) -> Vec<(usize, f64, f64)> {
     let last = size as f64 - 1.0;
     match interpolation {
-        Interpolation::Nearest => vec![(x.clamp(0.0, last).round() as usize, 1.0)],
+        Interpolation::Nearest => vec![(x.clamp(0.0, last).round() as usize, 1.0, 0.0)],
         Interpolation::Linear => {
+            let slope = if (0.0..=last).contains(&x) { 1.0 } else { 0.0 };
             let x = x.clamp(0.0, last);
-            let low = x.floor();
-            vec![(low as usize, 1.0 - (x - low)), ((low + 1.0).min(last) as usize, x - low)]
+            // The last centre belongs to the cell before it.
+            let low = x.floor().min((last - 1.0).max(0.0));
+            let next = (low + 1.0).min(last);
+            vec![(low as usize, 1.0 - (x - low), -slope), (next as usize, x - low, slope)]
         }
         Interpolation::LinearBorder => {
             let low = x.floor();
-            [(low, 1.0 - (x - low)), (low + 1.0, x - low)]
+            [(low, 1.0 - (x - low), -1.0), (low + 1.0, x - low, 1.0)]
                 .into_iter()
-                .filter(|(cell, _)| (0.0..=last).contains(cell))
-                .map(|(cell, share)| (cell as usize, share))
+                .filter(|(cell, ..)| (0.0..=last).contains(cell))
+                .map(|(cell, share, slope)| (cell as usize, share, slope))
                 .collect()
         }
     }

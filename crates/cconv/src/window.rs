@@ -29,4 +29,23 @@ impl Window {
             Window::None => one,
         }
     }
+
+    /// ∂a/∂r = this · r, with r the normalised position of the neighbour. 0 at the kinks of the triangular
+    /// window, its centre and its border.
+    #[inline(always)]
+    pub(crate) fn slope_over_distance<I: InstructionSet>(self, q: I::Vector) -> I::Vector {
+        let (zero, one) = (I::splat(0.0), I::splat(1.0));
+        match self {
+            Window::Poly6 => {
+                let t = I::max(I::sub(one, q), zero);
+                I::mul(I::splat(-6.0), I::mul(t, t))
+            }
+            Window::Triangular => {
+                let slope = I::div(I::splat(-1.0), I::sqrt(q));
+                let inside = I::select(I::less_equal(one, q), zero, slope);
+                I::select(I::less_equal(q, zero), zero, inside)
+            }
+            Window::None => zero,
+        }
+    }
 }

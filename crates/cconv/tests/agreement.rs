@@ -2,108 +2,93 @@
 
 mod common;
 
+use cconv::reference::widen;
 use cconv::{
-    Columns, Dense, Extent, Filter, Geometry, Interpolation, Kernel, Mapping, Options, PointSets, Window,
-    Workspace, reference,
+    Columns, Dense, Extent, Filter, Geometry, Gradients, Interpolation, Kernel, Options, PairGradient,
+    PointGradients, PointSets, Workspace,
 };
-use common::Numbers;
-use fluvia_neighbors::{Options as SearchOptions, Radius, brute_force};
+use common::{EXTENTS, ExtentKind, Numbers, Parts, Problem, all_options, largest};
+use fluvia_neighbors::{Options as SearchOptions, Point, Radius, brute_force};
 
-/// One random problem; `same` uses one set of points for input and output, with a pointwise term.
-struct Problem {
-    options: Options,
-    inputs: Vec<[f32; 3]>,
-    outputs: Vec<[f32; 3]>,
-    channels: (usize, usize),
-    same: bool,
-    extent: usize,
-    importance: bool,
-    window_values: bool,
-    bias: bool,
-}
+/// Runs every kernel forward and backward and compares with the reference, relative to the largest magnitude: float32
+/// rounding of sums of up to some thousand terms.
+fn check(problem: &Problem, workspace: &mut Workspace) {
+    let wide = problem.wide();
+    let expected = wide.forward();
+    let expected_gradients = wide.backward(&widen(&problem.output_gradient));
+    for kernel in Kernel::available() {
+        let close = |name: &str, values: &[f32], expected: &[f64]| {
+            assert_eq!(values.len(), expected.len(), "{name}");
+            let scale = largest(expected.iter().copied()).max(1.0);
+            let error = largest(values.iter().zip(expected).map(|(value, e)| f64::from(*value) - e)) / scale;
+            assert!(error < 1e-5, "{} {:?}: {name} off by {error:.1e}", kernel.name(), problem.options);
+        };
+        let mut geometry = Geometry::default();
+        geometry.build(&problem.options, &problem.sets(), kernel);
+        let filter = problem.filter();
+        let mut output = vec![f32::NAN; expected.len()];
+        cconv::forward(&geometry, &filter, &problem.features, &mut output, workspace);
+        close("output", &output, &expected);
 
-impl Problem {
-    /// Runs every kernel and compares with the reference, relative to the largest magnitude of the sum of
-    /// absolute terms: float32 rounding of each of up to some thousand terms.
-    fn check(&self, numbers: &mut Numbers, workspace: &mut Workspace) {
-        const RADIUS: f32 = 0.7;
-        let Problem { options, inputs, channels: (channels_in, channels_out), .. } = self;
-        let outputs = if self.same { inputs } else { &self.outputs };
-        let neighbors = brute_force(inputs, outputs, Radius::Uniform(RADIUS), &SearchOptions::default());
-        let scalar: Vec<f32> = outputs.iter().map(|_| 1.4 + 0.3 * numbers.signed().abs()).collect();
-        let vector: Vec<[f32; 3]> =
-            outputs.iter().map(|_| std::array::from_fn(|_| 1.4 + 0.3 * numbers.signed().abs())).collect();
-        let importance = numbers.vec(inputs.len());
-        let windows: Vec<f32> = numbers.vec(neighbors.indices.len()).iter().map(|x| x.abs()).collect();
-        let sets = PointSets {
-            inputs,
-            outputs,
-            neighbors: &neighbors,
-            extent: match self.extent {
-                0 => Extent::Uniform(2.0 * RADIUS),
-                1 => Extent::PerAxis([1.4, 1.6, 1.9]),
-                2 => Extent::PerPoint(&scalar),
-                _ => Extent::PerPointAndAxis(&vector),
-            },
-            importance: self.importance.then_some(importance.as_slice()),
-            window_values: self.window_values.then_some(windows.as_slice()),
-        };
-        let filter = numbers.vec(options.cells() * channels_in * channels_out);
-        let bias = numbers.vec(*channels_out);
-        let pointwise = numbers.vec(channels_in * channels_out);
-        let features = numbers.vec(inputs.len() * channels_in);
-        let wide: Vec<f64> = features.iter().map(|&x| f64::from(x)).collect();
-        let weights = reference::Weights {
-            in_channels: *channels_in,
-            out_channels: *channels_out,
-            filter: &filter,
-            bias: self.bias.then_some(bias.as_slice()),
-            pointwise: self.same.then_some(pointwise.as_slice()),
-        };
-        let expected = reference::forward(options, &sets, &weights, &wide);
-        let scale = expected.iter().fold(1.0f64, |a, x| a.max(x.abs()));
-        for kernel in Kernel::available() {
-            let mut geometry = Geometry::default();
-            geometry.build(options, &sets, kernel);
-            let mut packed = Filter::new(options, *channels_in, *channels_out, &filter);
-            if self.bias {
-                packed = packed.with_bias(&bias);
-            }
-            if self.same {
-                packed = packed.with_pointwise(&pointwise);
-            }
-            let mut output = vec![f32::NAN; outputs.len() * channels_out];
-            cconv::forward(&geometry, &packed, &features, &mut output, workspace);
-            for (k, (value, expected)) in output.iter().zip(&expected).enumerate() {
-                let error = (f64::from(*value) - expected).abs() / scale;
-                assert!(error < 1e-5, "{} {options:?}: value {k} off by {error:.1e}", kernel.name());
-            }
-        }
+        let gradients = all_gradients(problem, &mut geometry, workspace);
+        close("filter", &gradients.filter, &expected_gradients.filter);
+        close("bias", &gradients.bias, &expected_gradients.bias);
+        close("pointwise", &gradients.pointwise, &expected_gradients.pointwise);
+        close("features", &gradients.features, &expected_gradients.features);
+        close("importance", &gradients.importance, &expected_gradients.importance);
+        close("window values", &gradients.window_values, &expected_gradients.window_values);
+        let positions = gradients.input_positions.as_flattened();
+        close("input positions", positions, expected_gradients.input_positions.as_flattened());
+        let positions = gradients.output_positions.as_flattened();
+        close("output positions", positions, expected_gradients.output_positions.as_flattened());
     }
 }
 
-fn all_options() -> Vec<Options> {
-    let mut all = Vec::new();
-    for mapping in [Mapping::VolumePreserving, Mapping::Radial, Mapping::Identity] {
-        for interpolation in [Interpolation::Linear, Interpolation::LinearBorder, Interpolation::Nearest] {
-            for window in [Window::Poly6, Window::Triangular, Window::None] {
-                for (align_corners, normalize) in [(true, false), (false, true), (true, true), (false, false)]
-                {
-                    let offset = if align_corners { [0.0; 3] } else { [0.2, -0.1, 0.3] };
-                    all.push(Options {
-                        filter_size: [4, 4, 4],
-                        mapping,
-                        interpolation,
-                        align_corners,
-                        offset,
-                        window,
-                        normalize,
-                    });
-                }
-            }
-        }
-    }
-    all
+/// Every gradient in float32.
+#[derive(Clone, Debug, Default, PartialEq)]
+struct AllGradients {
+    filter: Vec<f32>,
+    bias: Vec<f32>,
+    pointwise: Vec<f32>,
+    features: Vec<f32>,
+    importance: Vec<f32>,
+    window_values: Vec<f32>,
+    input_positions: Vec<Point>,
+    output_positions: Vec<Point>,
+}
+
+fn all_gradients(problem: &Problem, geometry: &mut Geometry, workspace: &mut Workspace) -> AllGradients {
+    let filter = problem.filter();
+    let mut gradients = AllGradients {
+        filter: vec![0.0; problem.filter.len()],
+        bias: vec![0.0; problem.channels.1],
+        pointwise: vec![0.0; problem.pointwise.as_ref().map_or(0, Vec::len)],
+        features: vec![0.0; problem.features.len()],
+        importance: vec![0.0; problem.inputs.len()],
+        window_values: vec![0.0; problem.neighbors.indices.len()],
+        input_positions: vec![[0.0; 3]; problem.inputs.len()],
+        output_positions: vec![[0.0; 3]; problem.outputs.len()],
+    };
+    geometry.prepare_backward();
+    let mut pairs = PairGradient::default();
+    pairs.reset(geometry);
+    let wanted = Gradients {
+        filter: Some(&mut gradients.filter),
+        bias: Some(&mut gradients.bias),
+        pointwise: problem.pointwise.is_some().then_some(gradients.pointwise.as_mut_slice()),
+        features: Some(&mut gradients.features),
+        pairs: Some(&mut pairs),
+    };
+    let Problem { features, output_gradient, .. } = problem;
+    cconv::backward(geometry, &filter, features, output_gradient, wanted, workspace);
+    let wanted = PointGradients {
+        importance: Some(&mut gradients.importance),
+        window_values: Some(&mut gradients.window_values),
+        input_positions: Some(&mut gradients.input_positions),
+        output_positions: Some(&mut gradients.output_positions),
+    };
+    geometry.backward(&problem.options, &problem.sets(), &pairs, wanted);
+    gradients
 }
 
 /// Whether a small change of the position moves the interpolation by a whole cell, so that float32 and
@@ -118,20 +103,28 @@ fn all_options_agree_with_the_reference() {
     let sizes = [[4, 4, 4], [3, 5, 2], [1, 1, 1], [2, 7, 1]];
     for (k, mut options) in all_options().into_iter().enumerate() {
         options.filter_size = sizes[k % sizes.len()];
-        let problem = Problem {
-            inputs: numbers.points(40),
-            outputs: numbers.points(15),
-            channels: (1 + numbers.below(9), 1 + numbers.below(9)),
-            same: k % 3 == 0,
-            extent: numbers.below(4),
+        let inputs = numbers.points(40);
+        let pointwise = k % 3 == 0;
+        let outputs = if pointwise { inputs.clone() } else { numbers.points(15) };
+        let channels = (1 + numbers.below(9), 1 + numbers.below(9));
+        let parts = Parts {
+            extent: EXTENTS[numbers.below(4)],
             importance: numbers.below(2) == 0,
             window_values: numbers.below(4) == 0,
             bias: numbers.below(2) == 0,
-            options,
+            pointwise,
         };
-        problem.check(&mut numbers, &mut workspace);
+        check(&Problem::new(&mut numbers, options, inputs, outputs, channels, parts), &mut workspace);
     }
 }
+
+const BIAS_ALONE: Parts = Parts {
+    extent: ExtentKind::Uniform,
+    importance: false,
+    window_values: false,
+    bias: true,
+    pointwise: false,
+};
 
 #[test]
 fn awkward_sizes_agree_with_the_reference() {
@@ -151,18 +144,12 @@ fn awkward_sizes_agree_with_the_reference() {
     ];
     for (k, channels) in channels.into_iter().enumerate() {
         for (inputs, outputs) in [(0, 0), (0, 3), (1, 1), (3, 0), (2, 13), (50, 26), (30, 193)] {
-            let problem = Problem {
-                options: Options::default(),
-                inputs: numbers.points(inputs),
-                outputs: numbers.points(outputs),
-                channels,
-                same: (k + inputs) % 2 == 0,
-                extent: 0,
-                importance: false,
-                window_values: false,
-                bias: true,
-            };
-            problem.check(&mut numbers, &mut workspace);
+            let pointwise = (k + inputs) % 2 == 0;
+            let inputs = numbers.points(inputs);
+            let outputs = if pointwise { inputs.clone() } else { numbers.points(outputs) };
+            let parts = Parts { pointwise, ..BIAS_ALONE };
+            let options = Options::default();
+            check(&Problem::new(&mut numbers, options, inputs, outputs, channels, parts), &mut workspace);
         }
     }
 }
@@ -174,18 +161,9 @@ fn coincident_points_agree_with_the_reference() {
         let mut inputs = numbers.points(6);
         inputs.extend_from_within(..);
         inputs.extend_from_within(..);
-        let problem = Problem {
-            options,
-            outputs: inputs[..5].to_vec(),
-            inputs,
-            channels: (4, 6),
-            same: false,
-            extent: 0,
-            importance: true,
-            window_values: false,
-            bias: false,
-        };
-        problem.check(&mut numbers, &mut workspace);
+        let outputs = inputs[..5].to_vec();
+        let parts = Parts { importance: true, bias: false, ..BIAS_ALONE };
+        check(&Problem::new(&mut numbers, options, inputs, outputs, (4, 6), parts), &mut workspace);
     }
 }
 

@@ -3,7 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use cconv::{
-    Extent, Filter, Geometry, Interpolation, Kernel, Mapping, Options, PointSets, Workspace, reference,
+    Extent, Filter, Geometry, Gradients, Interpolation, Kernel, Mapping, Options, PointSets, Workspace,
+    reference,
 };
 use fluvia_neighbors::{Grid, Metric, Neighbors, Options as SearchOptions, Radius};
 use serde::Deserialize;
@@ -112,7 +113,7 @@ fn largest(values: impl IntoIterator<Item = f64>) -> f64 {
 }
 
 #[test]
-fn the_operator_gives_open3ds_output() {
+fn the_operator_gives_open3ds_output_and_gradients() {
     for path in goldens("cconv_") {
         let mut golden = Golden::open(&path);
         let case: Case = serde_json::from_str(&golden.text("meta")).unwrap();
@@ -139,40 +140,57 @@ fn the_operator_gives_open3ds_output() {
         let importance = golden.f32("inp_importance");
         let windows = golden.f32("neighbors_importance");
         let sets = PointSets {
-            inputs: &inputs,
-            outputs: &outputs,
-            neighbors: &neighbors,
-            extent,
             importance: (!importance.is_empty()).then_some(importance.as_slice()),
             window_values: (!windows.is_empty()).then_some(windows.as_slice()),
+            ..PointSets::new(&inputs, &outputs, &neighbors, extent)
         };
         let (filter, features) = (golden.f32("filters"), golden.f32("inp_features"));
         let expected = golden.f32("output");
-        let scale = largest(expected.iter().map(|&x| f64::from(x)));
-        // Relative to the largest magnitude; both sides are float32 sums of some hundred terms.
-        let check = |name: &str, result: &[f64]| {
+        let output_gradient = golden.f32("out_grad");
+        let expected_by_filter = golden.f32("filters_grad");
+        let expected_by_features = golden.f32("inp_features_grad");
+        // Relative to the largest magnitude; both sides are float32 sums, of some hundred terms for the output
+        // and the features, of a term for every pair for the filter.
+        let check = |name: &str, result: &[f64], expected: &[f32], tolerance: f64| {
             assert_eq!(result.len(), expected.len());
-            let error = largest(result.iter().zip(&expected).map(|(a, b)| a - f64::from(*b))) / scale;
-            assert!(error <= 1e-5, "{} {name}: off by {error:.2e}", path.display());
+            let scale = largest(expected.iter().map(|&x| f64::from(x)));
+            let error = largest(result.iter().zip(expected).map(|(a, b)| a - f64::from(*b))) / scale;
+            assert!(error <= tolerance, "{} {name}: off by {error:.2e}", path.display());
         };
 
+        let (wide_filter, wide_features) = (reference::widen(&filter), reference::widen(&features));
         let weights = reference::Weights {
             in_channels: case.cin,
             out_channels: case.cout,
-            filter: &filter,
+            filter: &wide_filter,
             bias: None,
             pointwise: None,
         };
-        let wide: Vec<f64> = features.iter().map(|&x| f64::from(x)).collect();
-        check("reference", &reference::forward(&options, &sets, &weights, &wide));
+        let wide_sets = reference::Sets::from(&sets);
+        let output = reference::forward(&options, &wide_sets, &weights, &wide_features);
+        check("reference", &output, &expected, 1e-5);
+        let wide_gradient = reference::widen(&output_gradient);
+        let gradients = reference::backward(&options, &wide_sets, &weights, &wide_features, &wide_gradient);
+        check("reference, filter", &gradients.filter, &expected_by_filter, 1e-4);
+        check("reference, features", &gradients.features, &expected_by_features, 1e-4);
         for kernel in Kernel::available() {
             let mut geometry = Geometry::default();
             geometry.build(&options, &sets, kernel);
             let filter = Filter::new(&options, case.cin, case.cout, &filter);
-            let mut output = vec![f32::NAN; expected.len()];
-            cconv::forward(&geometry, &filter, &features, &mut output, &mut Workspace::default());
-            let output: Vec<f64> = output.into_iter().map(f64::from).collect();
-            check(kernel.name(), &output);
+            let (mut output, mut workspace) = (vec![f32::NAN; expected.len()], Workspace::default());
+            cconv::forward(&geometry, &filter, &features, &mut output, &mut workspace);
+            check(kernel.name(), &reference::widen(&output), &expected, 1e-5);
+            geometry.prepare_backward();
+            let mut by_filter = vec![0.0; expected_by_filter.len()];
+            let mut by_features = vec![0.0; features.len()];
+            let gradients = Gradients {
+                filter: Some(&mut by_filter),
+                features: Some(&mut by_features),
+                ..Gradients::default()
+            };
+            cconv::backward(&geometry, &filter, &features, &output_gradient, gradients, &mut workspace);
+            check(kernel.name(), &reference::widen(&by_filter), &expected_by_filter, 1e-4);
+            check(kernel.name(), &reference::widen(&by_features), &expected_by_features, 1e-4);
         }
     }
 }

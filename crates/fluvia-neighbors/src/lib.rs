@@ -13,7 +13,7 @@ mod grid;
 mod transpose;
 
 pub use grid::Grid;
-pub use transpose::{Transpose, transpose};
+pub use transpose::Transpose;
 
 /// A position in metres: x, y, z.
 pub type Point = [f32; 3];

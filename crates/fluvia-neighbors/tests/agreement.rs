@@ -1,6 +1,6 @@
 //! The grid against its specification, `brute_force`.
 
-use fluvia_neighbors::{Grid, Metric, Neighbors, Options, Point, Radius, brute_force, transpose};
+use fluvia_neighbors::{Grid, Metric, Neighbors, Options, Point, Radius, Transpose, brute_force};
 use proptest::prelude::*;
 
 /// Rows as sorted sets: the order inside a row is not part of the contract.
@@ -122,11 +122,18 @@ fn the_result_does_not_depend_on_the_number_of_threads() {
 fn the_transpose_lists_every_pair_once() {
     let points: Vec<Point> = (0..60u8).map(|i| [f32::from(i % 5), f32::from(i / 5), 0.0]).collect();
     let neighbors = brute_force(&points, &points[..20], Radius::Uniform(1.5), &Options::default());
-    let transposed = transpose(&neighbors, points.len());
-    assert_eq!(transposed.queries.len(), neighbors.indices.len());
+    // Twice, so that what is left in memory from the first build would show.
+    let mut transposed = Transpose::default();
+    transposed.build(&brute_force(&points, &points, Radius::Uniform(2.0), &Options::default()), points.len());
+    transposed.build(&neighbors, points.len());
+    let Transpose { queries, pairs } = &transposed;
+    assert_eq!(queries.indices.len(), neighbors.indices.len());
+    assert_eq!(pairs.len(), neighbors.indices.len());
+    assert_eq!(queries.queries(), points.len());
     for point in 0..points.len() {
-        for k in transposed.row_splits[point]..transposed.row_splits[point + 1] {
-            let (q, pair) = (transposed.queries[k] as usize, transposed.pairs[k] as usize);
+        assert!(queries.row(point).is_sorted());
+        for k in queries.row_splits[point]..queries.row_splits[point + 1] {
+            let (q, pair) = (queries.indices[k] as usize, pairs[k] as usize);
             assert_eq!(neighbors.indices[pair] as usize, point);
             assert!((neighbors.row_splits[q]..neighbors.row_splits[q + 1]).contains(&pair));
         }

@@ -3,7 +3,7 @@
 
 use cconv::Kernel;
 use fluvia_net::config::{Config, Integration};
-use fluvia_net::reference::{self, State};
+use fluvia_net::reference::{self, Network, State, World};
 use fluvia_net::solver::NetSolver;
 use fluvia_net::weights::Weights;
 use fluvia_sim::particles::{Acceleration, Boundary, Particles};
@@ -78,7 +78,8 @@ fn a_step_equals_the_reference() {
                 .map(|&body| f64::from(viscosity[body as usize].unwrap_or(weights.config.viscosity)))
                 .filter(|_| !extra_inputs.is_empty())
                 .collect();
-            let expected = reference::step(&weights, &state, &extra, &boundary, acceleration);
+            let world = World { extra: &extra, boundary: &boundary, acceleration };
+            let expected = reference::step(&Network::from(&weights), &state, world);
             for kernel in Kernel::available() {
                 let mut moved = start.clone();
                 let mut solver = NetSolver::new(&weights, &boundary, &viscosity, kernel).unwrap();
@@ -153,7 +154,8 @@ fn a_wall_particle_at_the_same_place_does_not_count() {
         let mut moved = start.clone();
         let mut solver = NetSolver::new(&weights, boundary, &[None], Kernel::detect()).unwrap();
         solver.step(&mut moved, rest, weights.config.dt).unwrap();
-        (moved, reference::step(&weights, &state, &[], boundary, rest))
+        let world = World { extra: &[], boundary, acceleration: rest };
+        (moved, reference::step(&Network::from(&weights), &state, world))
     };
     let alone = moved(&Boundary::default());
     assert_eq!(moved(&at(x)), alone);

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use cconv::Kernel;
 use fluvia_neighbors::{Grid, Neighbors, Options, Radius};
 use fluvia_net::integrate::{Predicted, predict};
-use fluvia_net::reference::{self, State};
+use fluvia_net::reference::{self, Network, State, World};
 use fluvia_net::solver::NetSolver;
 use fluvia_net::weights::{self, Weights};
 use fluvia_sim::frames::npz::{Array, read_arrays};
@@ -172,7 +172,11 @@ fn one_step_equals_the_float64_reference() {
     let (start, boundary) = (golden.particles(), golden.boundary());
     let widen = |values: &[[f32; 3]]| values.iter().map(|v| v.map(f64::from)).collect();
     let state = State { position: widen(&start.position), velocity: widen(&start.velocity) };
-    let expected = reference::step(&weights, &state, &[], &boundary, GRAVITY);
+    let expected = reference::step(
+        &Network::from(&weights),
+        &state,
+        World { extra: &[], boundary: &boundary, acceleration: GRAVITY },
+    );
     for kernel in Kernel::available() {
         let mut particles = start.clone();
         let mut solver = NetSolver::new(&weights, &boundary, &[None], kernel).unwrap();

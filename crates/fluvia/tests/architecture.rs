@@ -33,7 +33,7 @@ const PRINTS: [&str; 6] = ["println!", "print!(", "stdout()", "stderr()", "env::
 const PURE: [&str; 3] = ["fluvia-neighbors/", "cconv/", "fluvia-render/"];
 
 /// What outlives a call.
-const GLOBALS: [&str; 5] = ["static mut ", "thread_local!", "OnceLock<", "LazyLock<", ": Atomic"];
+const GLOBALS: [&str; 3] = ["\nstatic ", " static ", "thread_local!"];
 
 /// Tensor frameworks; one adapter file may name one, and the manifest of its crate.
 const FRAMEWORKS: [&str; 4] = ["burn::", "use tch", "candle_core", "tract_"];

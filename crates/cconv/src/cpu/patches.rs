@@ -1,159 +1,183 @@
-//! The forward pass through a patch matrix (paper, section A.1): features are interpolated into a matrix
-//! [points, cells · channels], and that is multiplied by the filter.
+//! Patch matrices (paper, section A.1): features are interpolated into a matrix [points, cells · channels].
 //!
-//! The matrix never exists as a whole. A task takes some output points and goes through the slabs of input
-//! channels; for each slab it fills the patches of [`ROWS`] points and multiplies them while they are hot, so
-//! that the weights of the slab are fetched once a task.
+//! The forward pass multiplies it by the filter. So does the backward pass, with the lists transposed: the
+//! gradient of the features is the operator itself, applied to the gradient of the output with the filter's
+//! channels exchanged. The gradient of the filter is the patch matrix, transposed, times the other side: of
+//! the features and the gradient of the output, one is interpolated and the other is not.
+//!
+//! The matrix never exists as a whole. A task takes some points and goes through the slabs of channels; for
+//! each slab it fills the patches of a few points and multiplies them while they are hot, so that the
+//! weights of the slab are fetched once a task.
 
 use rayon::prelude::*;
 
-use super::{Columns, Scratch, Workspace, with_scratch};
+use super::sums::{FilterSums, PARTIAL_SUMS, PartialSum, SUM_ROWS, chunks, sum_size};
+use super::{Output, Scratch, Workspace, pad, with_scratch};
+use crate::Filter;
 use crate::filter::panels;
-use crate::geometry::{Block, LANES};
+use crate::geometry::{Block, LANES, Lists};
 use crate::kernel::{InstructionSet, Operation, Product, ROWS};
-use crate::{Filter, Geometry};
 
-/// Output points of a task: enough to pay for fetching the weights, few enough to balance two threads on
+/// Points of a task: enough to pay for fetching the weights, few enough to balance two threads on
 /// some thousand points.
 const TASK_ROWS: usize = 16 * ROWS;
+
+/// Patches that are filled before they are multiplied, if a filter's gradient is summed: the sums are
+/// loaded and stored once for so many points.
+const SUM_BLOCK: usize = 4 * ROWS;
 
 /// How many pairs ahead the features of a neighbour are asked for.
 const PREFETCH_PAIRS: usize = 4;
 
-pub fn forward(
-    geometry: &Geometry,
-    filter: &Filter,
-    features: &[f32],
-    output: Columns<'_>,
+/// What is interpolated: some features over some lists, for a filter whose input they are.
+#[derive(Clone, Copy)]
+pub struct Patches<'a> {
+    pub lists: &'a Lists,
+    pub filter: &'a Filter,
+    /// [columns of the lists, in channels].
+    pub features: &'a [f32],
+}
+
+/// Fills all patches; multiplies them by the filter, sums their products with the other side, or both.
+pub fn run(
+    patches: Patches<'_>,
+    output: Option<Output<'_>>,
+    mut sums: Option<FilterSums<'_>>,
     workspace: &mut Workspace,
 ) {
-    let padded = filter.slabs.padded();
-    let features = if padded == filter.in_channels {
-        features
-    } else {
-        let whole = &mut workspace.whole;
-        whole.reserve_len(geometry.inputs * padded);
-        for (to, from) in whole.chunks_exact_mut(padded).zip(features.chunks_exact(filter.in_channels)) {
-            to[..from.len()].copy_from_slice(from);
-            to[from.len()..].fill(0.0);
-        }
-        &whole[..geometry.inputs * padded]
-    };
-    let Columns { values, stride, first } = output;
-    let scratch = &workspace.scratch;
-    values.par_chunks_mut(TASK_ROWS * stride).enumerate().for_each(|(k, rows)| {
-        with_scratch(scratch, |scratch| {
-            geometry.kernel.run(Task {
-                geometry,
-                filter,
-                features,
-                first_row: k * TASK_ROWS,
-                output: Columns { values: rows, stride, first },
-                scratch,
-            });
+    let Patches { lists, filter, features } = patches;
+    let Workspace { scratch, whole, partial } = workspace;
+    let features = pad(features, filter.in_channels, filter.slabs.padded(), lists.columns, whole);
+    let patches = Patches { features, ..patches };
+    let chunks = chunks(&lists.clouds, if sums.is_some() { SUM_ROWS } else { TASK_ROWS });
+    let mut outputs = output.map(|output| output.split(&chunks).into_iter());
+    let held = if sums.is_some() { PARTIAL_SUMS.min(chunks.len()) } else { chunks.len() }.max(1);
+    let size = sums.as_ref().map_or(0, |sums| sum_size(filter, sums.channels));
+    partial.reserve_len(held * size);
+    for chunks in chunks.chunks(held) {
+        let mut partials = partial.chunks_exact_mut(size.max(1));
+        let tasks: Vec<Task<'_>> = chunks
+            .iter()
+            .map(|rows| Task {
+                patches,
+                first_row: rows.start,
+                rows: rows.len(),
+                output: outputs.as_mut().and_then(Iterator::next),
+                sum: sums.as_ref().and_then(|sums| sums.partial(rows, partials.next()?)),
+            })
+            .collect();
+        tasks.into_par_iter().for_each(|task| {
+            with_scratch(scratch, |scratch| lists.kernel.run(TaskWith { task, scratch }));
         });
-    });
-}
-
-/// The output points from `first_row` on, as many as `output` has rows.
-struct Task<'a> {
-    geometry: &'a Geometry,
-    filter: &'a Filter,
-    /// [input points, padded channels].
-    features: &'a [f32],
-    first_row: usize,
-    output: Columns<'a>,
-    scratch: &'a mut Scratch,
-}
-
-impl Operation for Task<'_> {
-    #[inline(always)]
-    fn run<I: InstructionSet>(self) {
-        let Task { geometry, filter, features, first_row, output, scratch } = self;
-        let rows = output.values.len() / output.stride;
-        let outputs = filter.out_channels;
-        let width = outputs.next_multiple_of(16);
-        let Scratch { patches, sums } = scratch;
-        sums.reserve_len(rows.next_multiple_of(ROWS) * width);
-        sums[..rows.next_multiple_of(ROWS) * width].fill(0.0);
-        let mut packed: &[f32] = &filter.packed;
-        for slab in filter.slabs.iter() {
-            let depth = filter.rows() * slab.len();
-            patches.reserve_len(ROWS * depth);
-            let (weights, rest) = packed.split_at(depth * width);
-            packed = rest;
-            for block in (0..rows).step_by(ROWS) {
-                let live = ROWS.min(rows - block);
-                for (row, patch) in patches.chunks_exact_mut(depth).take(live).enumerate() {
-                    let source = Source {
-                        geometry,
-                        filter,
-                        features,
-                        row: first_row + block + row,
-                        channel: slab.start,
-                    };
-                    match slab.len() {
-                        4 => fill::<I, 4>(patch, &source),
-                        8 => fill::<I, 8>(patch, &source),
-                        16 => fill::<I, 16>(patch, &source),
-                        _ => fill::<I, 32>(patch, &source),
-                    }
-                }
-                for (first, panel) in panels(outputs) {
-                    I::multiply(Product {
-                        rows: live,
-                        depth,
-                        width: panel,
-                        a: patches,
-                        a_stride: depth,
-                        b: &weights[depth * first..],
-                        c: &mut sums[block * width + first..],
-                        c_stride: width,
-                    });
-                }
-            }
-        }
-        for (row, sums) in output.values.chunks_exact_mut(output.stride).zip(sums.chunks_exact(width)) {
-            let row = &mut row[output.first..output.first + outputs];
-            if filter.bias.is_empty() {
-                row.copy_from_slice(&sums[..outputs]);
-            } else {
-                for ((value, sum), bias) in row.iter_mut().zip(sums).zip(&filter.bias) {
-                    *value = sum + bias;
-                }
-            }
+        if let Some(sums) = &mut sums {
+            sums.add(filter, &partial[..chunks.len() * size]);
         }
     }
 }
 
-/// Where a patch comes from: the neighbours of one output point, some channels of their features.
+/// The points from `first_row` on.
+struct Task<'a> {
+    patches: Patches<'a>,
+    first_row: usize,
+    rows: usize,
+    output: Option<Output<'a>>,
+    sum: Option<PartialSum<'a>>,
+}
+
+struct TaskWith<'a> {
+    task: Task<'a>,
+    scratch: &'a mut Scratch,
+}
+
+impl Operation for TaskWith<'_> {
+    #[inline(always)]
+    fn run<I: InstructionSet>(self) {
+        let Task { patches: source, first_row, rows, mut output, mut sum } = self.task;
+        let filter = source.filter;
+        let width = filter.out_channels.next_multiple_of(16);
+        let Scratch { patches, sums, packed } = self.scratch;
+        let summed_rows = if output.is_some() { rows.next_multiple_of(ROWS) } else { 0 };
+        sums.reserve_len(summed_rows * width);
+        sums[..summed_rows * width].fill(0.0);
+        let block_rows = if sum.is_some() { SUM_BLOCK } else { ROWS };
+        let mut weights: &[f32] = &filter.packed;
+        for slab in filter.slabs.iter() {
+            let depth = filter.rows() * slab.len();
+            let stride = patch_stride(depth);
+            patches.reserve_len(block_rows * stride);
+            let (slab_weights, rest) = weights.split_at(depth * width);
+            weights = rest;
+            for block in (0..rows).step_by(block_rows) {
+                let live = block_rows.min(rows - block);
+                for (row, patch) in patches.chunks_exact_mut(stride).take(live).enumerate() {
+                    let source =
+                        Source { patches: source, row: first_row + block + row, channel: slab.start };
+                    match slab.len() {
+                        4 => fill::<I, 4>(&mut patch[..depth], &source),
+                        8 => fill::<I, 8>(&mut patch[..depth], &source),
+                        16 => fill::<I, 16>(&mut patch[..depth], &source),
+                        _ => fill::<I, 32>(&mut patch[..depth], &source),
+                    }
+                }
+                for row in (0..live).step_by(ROWS).take_while(|_| output.is_some()) {
+                    for (first, panel) in panels(filter.out_channels) {
+                        I::multiply(Product {
+                            rows: ROWS.min(live - row),
+                            depth,
+                            width: panel,
+                            a: &patches[row * stride..],
+                            a_stride: stride,
+                            b: &slab_weights[depth * first..],
+                            c: &mut sums[(block + row) * width + first..],
+                            c_stride: width,
+                        });
+                    }
+                }
+                if let Some(sum) = &mut sum {
+                    sum.add::<I>(block..block + live, patches, stride, slab.clone(), filter, packed);
+                }
+            }
+        }
+        if let Some(output) = &mut output {
+            output.write(0..rows, sums, width, filter.out_channels, &filter.bias);
+        }
+    }
+}
+
+/// Floats from a patch to the next. Multiples of a page would all fall into the same few lines of the cache.
+fn patch_stride(depth: usize) -> usize {
+    const PAGE: usize = 1024;
+    const LINE: usize = 16;
+    if depth.is_multiple_of(PAGE) { depth + LINE } else { depth }
+}
+
+/// Where a patch comes from: the neighbours of one point, some channels of their features.
 struct Source<'a> {
-    geometry: &'a Geometry,
-    filter: &'a Filter,
-    features: &'a [f32],
+    patches: Patches<'a>,
     row: usize,
     channel: usize,
 }
 
-/// Fills the patch [cells, `C`] of one output point.
+/// Fills the patch [cells, `C`] of one point.
 #[inline(always)]
 fn fill<I: InstructionSet, const C: usize>(patch: &mut [f32], source: &Source<'_>) {
-    let Source { geometry, filter, features, row, channel } = *source;
+    let Source { patches: Patches { lists, filter, features }, row, channel } = *source;
     let stride = filter.slabs.padded();
     let (patch, pointwise) = patch.split_at_mut(filter.cells * C);
     patch.fill(0.0);
-    let last = geometry.indices.len().saturating_sub(1);
-    let steps = geometry.steps.map(|step| step * C);
-    for pair in geometry.row_splits[row]..geometry.row_splits[row + 1] {
-        let start = |pair: usize| geometry.indices[pair] as usize * stride + channel;
+    let indices = &lists.neighbors.indices;
+    let last = indices.len().saturating_sub(1);
+    let steps = lists.steps.map(|step| step * C);
+    for pair in lists.neighbors.row_splits[row]..lists.neighbors.row_splits[row + 1] {
+        let start = |pair: usize| indices[pair] as usize * stride + channel;
         let next = start((pair + PREFETCH_PAIRS).min(last));
         I::prefetch(&features[next]);
         I::prefetch(&features[next + C / 2]);
         let f = &features[start(pair)..][..C];
-        let block = &geometry.blocks[pair / LANES];
+        let block = &lists.blocks[pair / LANES];
         let lane = pair % LANES;
         let patch = &mut patch[block.cell[lane] as usize * C..];
-        if geometry.corners == 8 {
+        if lists.corners == 8 {
             spread::<I, C, 8>(patch, f, block, lane, &steps);
         } else {
             spread::<I, C, 1>(patch, f, block, lane, &steps);

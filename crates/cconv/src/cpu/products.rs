@@ -8,11 +8,11 @@ use std::sync::Mutex;
 
 use rayon::prelude::*;
 
-use super::{Columns, Scratch, Workspace, with_scratch};
+use super::{Columns, Output, Scratch, Workspace, with_scratch};
+use crate::Filter;
 use crate::filter::panels;
-use crate::geometry::LANES;
+use crate::geometry::{LANES, Lists};
 use crate::kernel::{InstructionSet, Kernel, Operation, Product, ROWS};
-use crate::{Filter, Geometry};
 
 /// Points of a task.
 const TASK_ROWS: usize = 16 * ROWS;
@@ -20,25 +20,24 @@ const TASK_ROWS: usize = 16 * ROWS;
 /// How many pairs ahead the products of a neighbour are asked for.
 const PREFETCH_PAIRS: usize = 4;
 
-pub fn forward(
-    geometry: &Geometry,
+pub fn run(
+    lists: &Lists,
     filter: &Filter,
     group: usize,
     features: &[f32],
-    output: Columns<'_>,
+    output: Output<'_>,
     workspace: &mut Workspace,
 ) {
     let width = filter.rows() * group;
-    let Workspace { scratch, whole } = workspace;
-    whole.reserve_len(geometry.inputs * width);
-    let products = &mut whole[..geometry.inputs * width];
+    let Workspace { scratch, whole, .. } = workspace;
+    whole.reserve_len(lists.columns * width);
+    let products = &mut whole[..lists.columns * width];
     let rows =
         Rows { features, in_channels: filter.in_channels, packed: &filter.packed, columns: width, bias: &[] };
-    multiply(rows, Columns { values: products, stride: width, first: 0 }, scratch, geometry.kernel);
-    let Columns { values, stride, first } = output;
-    values.par_chunks_mut(TASK_ROWS * stride).enumerate().for_each(|(k, rows)| {
-        let output = Columns { values: rows, stride, first };
-        geometry.kernel.run(Gather { geometry, filter, group, products, first_row: k * TASK_ROWS, output });
+    let columns = Columns { values: products, stride: width, first: 0 };
+    multiply(rows, Output { columns, add: false }, scratch, lists.kernel);
+    output.tasks(TASK_ROWS).for_each(|(first_row, output)| {
+        lists.kernel.run(Gather { lists, filter, group, products, first_row, output });
     });
 }
 
@@ -56,13 +55,9 @@ pub struct Rows<'a> {
 }
 
 /// Multiplies all rows.
-pub fn multiply(rows: Rows<'_>, output: Columns<'_>, scratch: &[Mutex<Scratch>], kernel: Kernel) {
-    let Columns { values, stride, first } = output;
-    values.par_chunks_mut(TASK_ROWS * stride).enumerate().for_each(|(k, values)| {
-        with_scratch(scratch, |scratch| {
-            let output = Columns { values, stride, first };
-            kernel.run(RowsTask { rows, first_row: k * TASK_ROWS, output, scratch });
-        });
+pub fn multiply(rows: Rows<'_>, output: Output<'_>, scratch: &[Mutex<Scratch>], kernel: Kernel) {
+    output.tasks(TASK_ROWS).for_each(|(first_row, output)| {
+        with_scratch(scratch, |scratch| kernel.run(RowsTask { rows, first_row, output, scratch }));
     });
 }
 
@@ -70,7 +65,7 @@ pub fn multiply(rows: Rows<'_>, output: Columns<'_>, scratch: &[Mutex<Scratch>],
 struct RowsTask<'a> {
     rows: Rows<'a>,
     first_row: usize,
-    output: Columns<'a>,
+    output: Output<'a>,
     scratch: &'a mut Scratch,
 }
 
@@ -78,12 +73,12 @@ impl Operation for RowsTask<'_> {
     #[inline(always)]
     fn run<I: InstructionSet>(self) {
         let Rows { features, in_channels: depth, packed, columns, bias } = self.rows;
-        let Columns { values, stride, first } = self.output;
+        let mut output = self.output;
         let width = columns.next_multiple_of(16);
-        let Scratch { patches, sums } = self.scratch;
+        let Scratch { patches, sums, .. } = self.scratch;
         patches.reserve_len(ROWS * depth);
         sums.reserve_len(ROWS * width);
-        let count = values.len() / stride;
+        let count = output.rows();
         for block in (0..count).step_by(ROWS) {
             let live = ROWS.min(count - block);
             let start = (self.first_row + block) * depth;
@@ -107,28 +102,21 @@ impl Operation for RowsTask<'_> {
                     c_stride: width,
                 });
             }
-            let rows = values[block * stride..].chunks_exact_mut(stride);
-            for (row, sums) in rows.zip(sums.chunks_exact(width)).take(live) {
-                let row = &mut row[first..first + columns];
-                row.copy_from_slice(&sums[..columns]);
-                for (value, bias) in row.iter_mut().zip(bias) {
-                    *value += bias;
-                }
-            }
+            output.write(block..block + live, sums, width, columns, bias);
         }
     }
 }
 
 /// Interpolates products for the output points from `first_row` on.
 struct Gather<'a> {
-    geometry: &'a Geometry,
+    lists: &'a Lists,
     filter: &'a Filter,
     /// Values a cell: the output channels, padded.
     group: usize,
     /// [input points, cells · group].
     products: &'a [f32],
     first_row: usize,
-    output: Columns<'a>,
+    output: Output<'a>,
 }
 
 impl Operation for Gather<'_> {
@@ -144,28 +132,28 @@ impl Operation for Gather<'_> {
 impl Gather<'_> {
     #[inline(always)]
     fn gather<I: InstructionSet, const G: usize>(self) {
-        let Gather { geometry, filter, products, .. } = self;
+        let Gather { lists, filter, products, first_row, mut output, .. } = self;
         let stride = filter.rows() * G;
-        let last = geometry.indices.len().saturating_sub(1);
-        for (k, output) in self.output.values.chunks_exact_mut(self.output.stride).enumerate() {
-            let row = self.first_row + k;
+        let last = lists.neighbors.indices.len().saturating_sub(1);
+        for k in 0..output.rows() {
+            let row = first_row + k;
             // Four chains of additions, so that one need not wait for the other.
             let mut sums = [[I::quad_splat(0.0); 2]; 4];
-            for pair in geometry.row_splits[row]..geometry.row_splits[row + 1] {
-                let block = &geometry.blocks[pair / LANES];
+            for pair in lists.neighbors.row_splits[row]..lists.neighbors.row_splits[row + 1] {
+                let block = &lists.blocks[pair / LANES];
                 let lane = pair % LANES;
                 let ahead = (pair + PREFETCH_PAIRS).min(last);
-                let next = geometry.indices[ahead] as usize * stride;
-                let next_block = &geometry.blocks[ahead / LANES];
+                let next = lists.neighbors.indices[ahead] as usize * stride;
+                let next_block = &lists.blocks[ahead / LANES];
                 let next = &products[next + next_block.cell[ahead % LANES] as usize * G..];
-                for corner in (0..geometry.corners).step_by(2) {
-                    I::prefetch(&next[geometry.steps[corner] * G]);
+                for corner in (0..lists.corners).step_by(2) {
+                    I::prefetch(&next[lists.steps[corner] * G]);
                 }
-                let own = &products[geometry.indices[pair] as usize * stride..][..stride];
+                let own = &products[lists.neighbors.indices[pair] as usize * stride..][..stride];
                 let own = &own[block.cell[lane] as usize * G..];
-                for corner in 0..geometry.corners {
+                for corner in 0..lists.corners {
                     let weight = I::quad_splat(block.weights[corner][lane]);
-                    let product = &own[geometry.steps[corner] * G..][..G];
+                    let product = &own[lists.steps[corner] * G..][..G];
                     for (sum, product) in sums[corner % 4].iter_mut().zip(product.chunks_exact(4)) {
                         *sum = I::quad_multiply_add(weight, I::quad_load(product), *sum);
                     }
@@ -176,16 +164,15 @@ impl Gather<'_> {
                 I::quad_store(sum[0], total);
                 I::quad_store(sum[1], &mut total[4..]);
             }
-            let output = &mut output[self.output.first..][..filter.out_channels];
-            for (channel, value) in output.iter_mut().enumerate() {
+            let mut row_sums = [0.0; 8];
+            for (channel, sum) in row_sums.iter_mut().enumerate().take(filter.out_channels) {
                 let [a, b, c, d] = totals.map(|total| total[channel]);
-                let sum = (a + b) + (c + d);
-                let bias = filter.bias.get(channel).copied().unwrap_or(0.0);
-                *value = sum + bias;
+                *sum = (a + b) + (c + d);
                 if filter.rows() > filter.cells {
-                    *value += products[row * stride + filter.cells * G + channel];
+                    *sum += products[row * stride + filter.cells * G + channel];
                 }
             }
+            output.write(k..k + 1, &row_sums, 8, filter.out_channels, &filter.bias);
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use std::arch::x86_64::*;
 
-use super::{InstructionSet, Operation, Product, instructions};
+use super::{InstructionSet, Operation, Outer, Product, instructions};
 
 pub struct Avx2;
 
@@ -57,6 +57,11 @@ impl InstructionSet for Avx2 {
         fn quad_load(from: &[f32]) -> __m128 { _mm_loadu_ps(from[..4].as_ptr()) }
         fn quad_store(x: __m128, to: &mut [f32]) { _mm_storeu_ps(to[..4].as_mut_ptr(), x) }
         fn quad_multiply_add(a: __m128, b: __m128, c: __m128) -> __m128 { _mm_fmadd_ps(a, b, c) }
+        fn sum(x: __m256) -> f32 {
+            let fours = _mm_add_ps(_mm256_castps256_ps128(x), _mm256_extractf128_ps::<1>(x));
+            let twos = _mm_add_ps(fours, _mm_movehl_ps(fours, fours));
+            _mm_cvtss_f32(_mm_add_ss(twos, _mm_movehdup_ps(twos)))
+        }
         fn prefetch(value: &f32) { _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(value).cast()) }
     }
 
@@ -66,6 +71,13 @@ impl InstructionSet for Avx2 {
         // SAFETY: this set is only used inside `run`, so the processor has the instructions, and the
         // lengths were validated.
         unsafe { tiles(product) }
+    }
+
+    #[inline(always)]
+    fn multiply_outer(outer: Outer<'_>) {
+        outer.validate();
+        // SAFETY: as above.
+        unsafe { outer_tiles(outer) }
     }
 }
 
@@ -88,6 +100,47 @@ unsafe fn tiles(product: Product<'_>) {
                         std::array::from_fn(|v| _mm256_loadu_ps(b.add(8 * v)));
                     for (r, sums) in sums.iter_mut().enumerate() {
                         let value = _mm256_set1_ps(*a.as_ptr().add((row + r) * a_stride + k));
+                        for (sum, column) in sums.iter_mut().zip(columns) {
+                            *sum = _mm256_fmadd_ps(value, column, *sum);
+                        }
+                    }
+                }
+            }
+            for (r, sums) in sums.iter().enumerate() {
+                for (v, sum) in sums.iter().enumerate() {
+                    // SAFETY: as above.
+                    unsafe {
+                        let c = c.as_mut_ptr().add((row + r) * c_stride + column + 8 * v);
+                        _mm256_storeu_ps(c, _mm256_add_ps(_mm256_loadu_ps(c), *sum));
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Rows of a tile of [`outer_tiles`].
+const OUTER_ROWS: usize = 4;
+
+/// Goes through rows and columns in tiles.
+///
+/// # Safety
+/// The processor must have AVX2 and FMA, and the product be valid.
+#[target_feature(enable = "avx2,fma")]
+unsafe fn outer_tiles(outer: Outer<'_>) {
+    let Outer { rows, depth, width, a, a_stride, b, c, c_stride } = outer;
+    for row in (0..rows).step_by(OUTER_ROWS) {
+        for column in (0..width).step_by(8 * TILE_VECTORS) {
+            let mut sums = [[_mm256_setzero_ps(); TILE_VECTORS]; OUTER_ROWS];
+            for k in 0..depth {
+                // SAFETY: OUTER_ROWS divides the rows, and the width is a multiple of the tile's.
+                unsafe {
+                    let a = a.as_ptr().add(k * a_stride + row);
+                    let b = b.as_ptr().add(k * width + column);
+                    let columns: [__m256; TILE_VECTORS] =
+                        std::array::from_fn(|v| _mm256_loadu_ps(b.add(8 * v)));
+                    for (r, sums) in sums.iter_mut().enumerate() {
+                        let value = _mm256_set1_ps(*a.add(r));
                         for (sum, column) in sums.iter_mut().zip(columns) {
                             *sum = _mm256_fmadd_ps(value, column, *sum);
                         }

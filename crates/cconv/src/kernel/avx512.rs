@@ -2,7 +2,7 @@
 
 use std::arch::x86_64::*;
 
-use super::{InstructionSet, Operation, Product, instructions};
+use super::{InstructionSet, Operation, Outer, Product, instructions};
 
 /// How many rows of weights ahead are asked for: a panel streams from the second-level cache, and its own
 /// prefetcher is a little late. Measured between 6 and 40, with no difference.
@@ -60,6 +60,7 @@ impl InstructionSet for Avx512 {
         fn quad_load(from: &[f32]) -> __m128 { _mm_loadu_ps(from[..4].as_ptr()) }
         fn quad_store(x: __m128, to: &mut [f32]) { _mm_storeu_ps(to[..4].as_mut_ptr(), x) }
         fn quad_multiply_add(a: __m128, b: __m128, c: __m128) -> __m128 { _mm_fmadd_ps(a, b, c) }
+        fn sum(x: __m512) -> f32 { _mm512_reduce_add_ps(x) }
         fn prefetch(value: &f32) { _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(value).cast()) }
     }
 
@@ -74,6 +75,21 @@ impl InstructionSet for Avx512 {
                 48 => tiles::<6, 3>(product),
                 32 => tiles::<12, 2>(product),
                 _ => tiles::<12, 1>(product),
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn multiply_outer(outer: Outer<'_>) {
+        outer.validate();
+        // SAFETY: this set is only used inside `run`, so the processor has the instructions, and the
+        // lengths were validated.
+        unsafe {
+            match outer.width {
+                64 => outer_tiles::<4>(outer),
+                48 => outer_tiles::<3>(outer),
+                32 => outer_tiles::<2>(outer),
+                _ => outer_tiles::<1>(outer),
             }
         }
     }
@@ -140,6 +156,44 @@ unsafe fn tile<const R: usize, const V: usize>(
             unsafe {
                 let c = c.add(r * c_stride + 16 * v);
                 _mm512_storeu_ps(c, _mm512_add_ps(_mm512_loadu_ps(c), *sum));
+            }
+        }
+    }
+}
+
+/// Rows of a tile of [`outer_tiles`].
+const OUTER_ROWS: usize = 4;
+
+/// Goes through the rows in tiles of V vectors of columns.
+///
+/// # Safety
+/// The processor must have AVX-512F, and the product be valid.
+#[target_feature(enable = "avx512f")]
+unsafe fn outer_tiles<const V: usize>(outer: Outer<'_>) {
+    let Outer { rows, depth, a, a_stride, b, c, c_stride, .. } = outer;
+    for row in (0..rows).step_by(OUTER_ROWS) {
+        let mut sums = [[_mm512_setzero_ps(); V]; OUTER_ROWS];
+        for k in 0..depth {
+            // SAFETY: OUTER_ROWS divides the rows, and the slices hold the whole factors.
+            unsafe {
+                let a = a.as_ptr().add(k * a_stride + row);
+                let b = b.as_ptr().add(k * 16 * V);
+                let columns: [__m512; V] = std::array::from_fn(|v| _mm512_loadu_ps(b.add(16 * v)));
+                for (r, sums) in sums.iter_mut().enumerate() {
+                    let value = _mm512_set1_ps(*a.add(r));
+                    for (sum, column) in sums.iter_mut().zip(columns) {
+                        *sum = _mm512_fmadd_ps(value, column, *sum);
+                    }
+                }
+            }
+        }
+        for (r, sums) in sums.iter().enumerate() {
+            for (v, sum) in sums.iter().enumerate() {
+                // SAFETY: as above.
+                unsafe {
+                    let c = c.as_mut_ptr().add((row + r) * c_stride + 16 * v);
+                    _mm512_storeu_ps(c, _mm512_add_ps(_mm512_loadu_ps(c), *sum));
+                }
             }
         }
     }

@@ -1,6 +1,6 @@
 //! The kernel for every processor, left to the compiler's vectoriser.
 
-use super::{InstructionSet, Product};
+use super::{InstructionSet, Outer, Product};
 
 /// Rows and columns of the tile of sums that stays in registers: 4 × 8 floats are 8 of the 16 vector
 /// registers of SSE2 and of the 32 of NEON.
@@ -109,6 +109,10 @@ impl InstructionSet for Portable {
         Self::multiply_add(a, b, c)
     }
     #[inline(always)]
+    fn sum(x: Four) -> f32 {
+        (x[0] + x[1]) + (x[2] + x[3])
+    }
+    #[inline(always)]
     fn prefetch(_: &f32) {}
 
     fn multiply(product: Product<'_>) {
@@ -124,6 +128,31 @@ impl InstructionSet for Portable {
                     for r in 0..TILE_ROWS {
                         for j in 0..TILE_COLUMNS {
                             sums[r][j] += lines[r][k] * b[j];
+                        }
+                    }
+                }
+                for (r, sums) in sums.iter().enumerate() {
+                    let c = &mut c[(row + r) * c_stride + column..][..TILE_COLUMNS];
+                    c.iter_mut().zip(sums).for_each(|(c, sum)| *c += sum);
+                }
+            }
+        }
+    }
+
+    fn multiply_outer(outer: Outer<'_>) {
+        outer.validate();
+        let Outer { rows, depth, width, a, a_stride, b, c, c_stride } = outer;
+        for row in (0..rows).step_by(TILE_ROWS) {
+            for column in (0..width).step_by(TILE_COLUMNS) {
+                let mut sums = [[0.0f32; TILE_COLUMNS]; TILE_ROWS];
+                for k in 0..depth {
+                    let a: &[f32; TILE_ROWS] =
+                        a[k * a_stride + row..][..TILE_ROWS].try_into().expect("a tile's rows");
+                    let b: &[f32; TILE_COLUMNS] =
+                        b[k * width + column..][..TILE_COLUMNS].try_into().expect("a tile's columns");
+                    for r in 0..TILE_ROWS {
+                        for j in 0..TILE_COLUMNS {
+                            sums[r][j] += a[r] * b[j];
                         }
                     }
                 }

@@ -1,5 +1,11 @@
 //! What the tests of this crate share.
 
+#![allow(dead_code, reason = "each test file takes what it needs")]
+
+use cconv::reference::{self, widen};
+use cconv::{Extent, Filter, Interpolation, Mapping, Options, PointSets, Window};
+use fluvia_neighbors::{Neighbors, Options as SearchOptions, Point, Radius, brute_force};
+
 /// A small deterministic generator (SplitMix64), so that cases are the same everywhere.
 pub struct Numbers(pub u64);
 
@@ -25,7 +31,194 @@ impl Numbers {
         (0..len).map(|_| self.signed()).collect()
     }
 
-    pub fn points(&mut self, len: usize) -> Vec<[f32; 3]> {
+    pub fn points(&mut self, len: usize) -> Vec<Point> {
         (0..len).map(|_| std::array::from_fn(|_| self.signed())).collect()
     }
+}
+
+/// One random problem with everything that the operator can be given.
+pub struct Problem {
+    pub options: Options,
+    pub inputs: Vec<Point>,
+    /// The input points themselves if the problem has a pointwise term.
+    pub outputs: Vec<Point>,
+    pub channels: (usize, usize),
+    pub extent: ExtentKind,
+    pub scalars: Vec<f32>,
+    pub vectors: Vec<[f32; 3]>,
+    pub neighbors: Neighbors,
+    pub importance: Option<Vec<f32>>,
+    pub window_values: Option<Vec<f32>>,
+    pub filter: Vec<f32>,
+    pub bias: Option<Vec<f32>>,
+    pub pointwise: Option<Vec<f32>>,
+    pub features: Vec<f32>,
+    /// The derivatives by the output.
+    pub output_gradient: Vec<f32>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum ExtentKind {
+    Uniform,
+    PerAxis,
+    PerPoint,
+    PerPointAndAxis,
+}
+
+pub const EXTENTS: [ExtentKind; 4] =
+    [ExtentKind::Uniform, ExtentKind::PerAxis, ExtentKind::PerPoint, ExtentKind::PerPointAndAxis];
+
+/// Which optional parts a [`Problem`] has.
+#[derive(Clone, Copy, Debug)]
+pub struct Parts {
+    pub extent: ExtentKind,
+    pub importance: bool,
+    pub window_values: bool,
+    pub bias: bool,
+    /// Needs the same input and output points.
+    pub pointwise: bool,
+}
+
+impl Problem {
+    pub fn new(
+        numbers: &mut Numbers,
+        options: Options,
+        inputs: Vec<Point>,
+        outputs: Vec<Point>,
+        channels: (usize, usize),
+        parts: Parts,
+    ) -> Problem {
+        let neighbors = search(&inputs, &outputs, false);
+        let (channels_in, channels_out) = channels;
+        let pairs = neighbors.indices.len();
+        Problem {
+            channels,
+            extent: parts.extent,
+            scalars: outputs.iter().map(|_| 1.4 + 0.3 * numbers.signed().abs()).collect(),
+            vectors: outputs
+                .iter()
+                .map(|_| std::array::from_fn(|_| 1.4 + 0.3 * numbers.signed().abs()))
+                .collect(),
+            importance: parts.importance.then(|| numbers.vec(inputs.len())),
+            window_values: parts.window_values.then(|| numbers.vec(pairs).iter().map(|x| x.abs()).collect()),
+            filter: numbers.vec(options.cells() * channels_in * channels_out),
+            bias: parts.bias.then(|| numbers.vec(channels_out)),
+            pointwise: parts.pointwise.then(|| numbers.vec(channels_in * channels_out)),
+            features: numbers.vec(inputs.len() * channels_in),
+            output_gradient: numbers.vec(outputs.len() * channels_out),
+            options,
+            inputs,
+            outputs,
+            neighbors,
+        }
+    }
+
+    /// Finds the neighbours again, without coincident points if so asked.
+    pub fn search(&mut self, ignore_coincident: bool) {
+        self.neighbors = search(&self.inputs, &self.outputs, ignore_coincident);
+    }
+
+    pub fn sets(&self) -> PointSets<'_> {
+        let extent = match self.extent {
+            ExtentKind::Uniform => Extent::Uniform(1.4),
+            ExtentKind::PerAxis => Extent::PerAxis([1.4, 1.6, 1.9]),
+            ExtentKind::PerPoint => Extent::PerPoint(&self.scalars),
+            ExtentKind::PerPointAndAxis => Extent::PerPointAndAxis(&self.vectors),
+        };
+        PointSets {
+            importance: self.importance.as_deref(),
+            window_values: self.window_values.as_deref(),
+            ..PointSets::new(&self.inputs, &self.outputs, &self.neighbors, extent)
+        }
+    }
+
+    pub fn filter(&self) -> Filter {
+        let mut filter = Filter::new(&self.options, self.channels.0, self.channels.1, &self.filter);
+        if let Some(bias) = &self.bias {
+            filter = filter.with_bias(bias);
+        }
+        if let Some(pointwise) = &self.pointwise {
+            filter = filter.with_pointwise(pointwise);
+        }
+        filter
+    }
+
+    pub fn wide(&self) -> Wide {
+        Wide {
+            options: self.options.clone(),
+            sets: reference::Sets::from(&self.sets()),
+            channels: self.channels,
+            filter: widen(&self.filter),
+            bias: self.bias.as_deref().map(widen),
+            pointwise: self.pointwise.as_deref().map(widen),
+            features: widen(&self.features),
+        }
+    }
+}
+
+fn search(inputs: &[Point], outputs: &[Point], ignore_coincident: bool) -> Neighbors {
+    let options = SearchOptions { ignore_coincident, ..SearchOptions::default() };
+    brute_force(inputs, outputs, Radius::Uniform(0.7), &options)
+}
+
+/// A problem in float64.
+#[derive(Clone)]
+pub struct Wide {
+    pub options: Options,
+    pub sets: reference::Sets,
+    pub channels: (usize, usize),
+    pub filter: Vec<f64>,
+    pub bias: Option<Vec<f64>>,
+    pub pointwise: Option<Vec<f64>>,
+    pub features: Vec<f64>,
+}
+
+impl Wide {
+    fn weights(&self) -> reference::Weights<'_> {
+        reference::Weights {
+            in_channels: self.channels.0,
+            out_channels: self.channels.1,
+            filter: &self.filter,
+            bias: self.bias.as_deref(),
+            pointwise: self.pointwise.as_deref(),
+        }
+    }
+
+    pub fn forward(&self) -> Vec<f64> {
+        reference::forward(&self.options, &self.sets, &self.weights(), &self.features)
+    }
+
+    pub fn backward(&self, output_gradient: &[f64]) -> reference::Gradients {
+        reference::backward(&self.options, &self.sets, &self.weights(), &self.features, output_gradient)
+    }
+}
+
+/// All combinations of mapping, interpolation, window, alignment and normalisation.
+pub fn all_options() -> Vec<Options> {
+    let mut all = Vec::new();
+    for mapping in [Mapping::VolumePreserving, Mapping::Radial, Mapping::Identity] {
+        for interpolation in [Interpolation::Linear, Interpolation::LinearBorder, Interpolation::Nearest] {
+            for window in [Window::Poly6, Window::Triangular, Window::None] {
+                for (align_corners, normalize) in [(true, false), (false, true), (true, true), (false, false)]
+                {
+                    let offset = if align_corners { [0.0; 3] } else { [0.2, -0.1, 0.3] };
+                    all.push(Options {
+                        filter_size: [4, 4, 4],
+                        mapping,
+                        interpolation,
+                        align_corners,
+                        offset,
+                        window,
+                        normalize,
+                    });
+                }
+            }
+        }
+    }
+    all
+}
+
+/// The largest magnitude; NaN counts as the largest.
+pub fn largest(values: impl IntoIterator<Item = f64>) -> f64 {
+    values.into_iter().fold(0.0, |a, x| if x.abs() > a || x.is_nan() { x.abs() } else { a })
 }
