@@ -4,7 +4,8 @@
 use std::hint::black_box;
 
 use cconv::{
-    Columns, Dense, Extent, Filter, Geometry, Kernel, Options, PointSets, Workspace, dense, forward,
+    Columns, Dense, Extent, Filter, Geometry, Gradients, Kernel, Options, PairGradient, PointGradients,
+    PointSets, Workspace, backward, dense, forward,
 };
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use fluvia_neighbors::{Grid, Neighbors, Options as SearchOptions, Radius};
@@ -42,6 +43,26 @@ fn operator(c: &mut Criterion) {
         group.sample_size(20);
         group.throughput(Throughput::Elements(neighbors.indices.len() as u64));
         group.bench_function("geometry", |b| b.iter(|| geometry.build(&options, black_box(&sets), kernel)));
+        group.bench_function("geometry for the backward pass", |b| {
+            b.iter(|| {
+                geometry.build(&options, black_box(&sets), kernel);
+                geometry.prepare_backward();
+            });
+        });
+        geometry.prepare_backward();
+        let mut pairs = PairGradient::default();
+        pairs.reset(&geometry);
+        let (mut by_input, mut by_output) = (vec![[0.0; 3]; points.len()], vec![[0.0; 3]; points.len()]);
+        group.bench_function("geometry backward", |b| {
+            b.iter(|| {
+                let gradients = PointGradients {
+                    input_positions: Some(&mut by_input),
+                    output_positions: Some(&mut by_output),
+                    ..PointGradients::default()
+                };
+                geometry.backward(&options, black_box(&sets), &pairs, gradients);
+            });
+        });
         for (inputs, outputs) in [(4, 32), (96, 64), (64, 64), (64, 3)] {
             // Two operations for each weight of 64 cells and the pointwise term.
             let operations = 2 * 65 * inputs * outputs * points.len();
@@ -52,6 +73,27 @@ fn operator(c: &mut Criterion) {
             let mut output = vec![0.0; points.len() * outputs];
             group.bench_function(format!("forward {inputs} to {outputs}"), |b| {
                 b.iter(|| forward(&geometry, &filter, black_box(&features), &mut output, &mut workspace));
+            });
+            let mut by_filter = vec![0.0; 64 * inputs * outputs];
+            let (mut by_pointwise, mut by_bias) = (vec![0.0; inputs * outputs], vec![0.0; outputs]);
+            let mut by_features = vec![0.0; features.len()];
+            group.bench_function(format!("backward {inputs} to {outputs}"), |b| {
+                b.iter(|| {
+                    let gradients = Gradients {
+                        filter: Some(&mut by_filter),
+                        pointwise: Some(&mut by_pointwise),
+                        bias: Some(&mut by_bias),
+                        features: Some(&mut by_features),
+                        pairs: None,
+                    };
+                    backward(&geometry, &filter, &features, black_box(&output), gradients, &mut workspace);
+                });
+            });
+            group.bench_function(format!("backward to pairs {inputs} to {outputs}"), |b| {
+                b.iter(|| {
+                    let gradients = Gradients { pairs: Some(&mut pairs), ..Gradients::default() };
+                    backward(&geometry, &filter, &features, black_box(&output), gradients, &mut workspace);
+                });
             });
         }
         // The matrix product of the 64 to 64 layer alone, on ready patches of some of the points.

@@ -109,12 +109,10 @@ pub fn forward_into(
     output.check(geometry.lists.rows, filter.out_channels);
     workspace.prepare();
     let output = Output { columns: output, add: false };
-    let lists = &geometry.lists;
+    let patches = Patches { lists: &geometry.lists, filter, features };
     match filter.layout {
-        Layout::Patches => {
-            patches::run(Patches { lists, filter, features }, Some(output), None, workspace);
-        }
-        Layout::Products { group } => products::run(lists, filter, group, features, output, workspace),
+        Layout::Patches => patches::run(patches, Some(output), None, workspace),
+        Layout::Products { group } => products::run(patches, group, output, workspace),
     }
 }
 
@@ -149,7 +147,8 @@ pub struct Gradients<'a> {
 /// those by what the output depends on, which are added to `gradients`.
 ///
 /// # Panics
-/// If a length does not fit the geometry and the filter, or without [`Geometry::prepare_backward`].
+/// If a length does not fit the geometry and the filter, or if gradients of the features, or of a filter with fewer
+/// outputs than inputs, are asked for without [`Geometry::prepare_backward`].
 pub fn backward(
     geometry: &Geometry,
     filter: &Filter,
@@ -168,7 +167,6 @@ pub fn backward(
         "gradients of {rows} output points, {outputs} channels"
     );
     workspace.prepare();
-    let transposed = &geometry.transposed().lists;
     let Gradients { filter: by_filter, mut pointwise, bias, features: mut by_features, pairs } = gradients;
     if let Some(gradient) = &pointwise {
         assert!(has_pointwise, "the gradient of a pointwise term that the filter does not have");
@@ -181,20 +179,23 @@ pub fn backward(
     if let Some(gradient) = &by_features {
         assert_eq!(gradient.len(), features.len(), "the gradient of the features");
     }
-    let adjoint = filter.adjoint();
     // The gradients of the features and of the filter share the patches of the output gradient, unless it is
     // cheaper to interpolate the features.
-    let feature_patches = Patches { lists: &geometry.lists, filter, features };
-    let gradient_patches = Patches { lists: transposed, filter: adjoint, features: output_gradient };
-    let shares = by_features.is_some() && adjoint.layout == Layout::Patches;
+    let shares = by_features.is_some() && Layout::choose(outputs, inputs) == Layout::Patches;
     let exchanged = shares || outputs < inputs;
+    let feature_patches = Patches { lists: &geometry.lists, filter, features };
+    let gradient_patches = || Patches {
+        lists: &geometry.transposed().lists,
+        filter: filter.adjoint(),
+        features: output_gradient,
+    };
     if let Some(gradient) = by_filter {
         assert_eq!(gradient.len(), cells * inputs * outputs, "the gradient of the filter");
         let (other, channels) = if exchanged { (features, inputs) } else { (output_gradient, outputs) };
         let sums = FilterSums { other, channels, filter: gradient, pointwise: pointwise.take(), exchanged };
         if exchanged {
             let output = by_features.take_if(|_| shares).map(|values| Output::added(values, inputs));
-            patches::run(gradient_patches, output, Some(sums), workspace);
+            patches::run(gradient_patches(), output, Some(sums), workspace);
         } else {
             patches::run(feature_patches, None, Some(sums), workspace);
         }
@@ -205,12 +206,10 @@ pub fn backward(
         sums::add_products(features, output_gradient, points, (inputs, outputs), gradient, workspace);
     }
     if let Some(gradient) = by_features {
-        let output = Output::added(gradient, inputs);
-        match adjoint.layout {
-            Layout::Patches => patches::run(gradient_patches, Some(output), None, workspace),
-            Layout::Products { group } => {
-                products::run(transposed, adjoint, group, output_gradient, output, workspace);
-            }
+        let (patches, output) = (gradient_patches(), Output::added(gradient, inputs));
+        match patches.filter.layout {
+            Layout::Patches => patches::run(patches, Some(output), None, workspace),
+            Layout::Products { group } => products::run(patches, group, output, workspace),
         }
     }
     if let Some(pairs) = pairs {

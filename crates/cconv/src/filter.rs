@@ -140,6 +140,14 @@ pub(crate) enum Layout {
     Products { group: usize },
 }
 
+impl Layout {
+    /// The cheaper one.
+    pub fn choose(inputs: usize, outputs: usize) -> Layout {
+        let few = outputs <= FEW_CHANNELS && inputs > FEW_CHANNELS;
+        if few { Layout::Products { group: outputs.next_multiple_of(4) } } else { Layout::Patches }
+    }
+}
+
 /// Up to this many output channels, `Products` pays if there are more input channels than that.
 const FEW_CHANNELS: usize = 8;
 
@@ -233,9 +241,7 @@ impl Filter {
             plain.len()
         );
         let rows = plain.len() / (inputs * outputs);
-        let few = outputs <= FEW_CHANNELS && inputs > FEW_CHANNELS;
-        let layout =
-            if few { Layout::Products { group: outputs.next_multiple_of(4) } } else { Layout::Patches };
+        let layout = Layout::choose(inputs, outputs);
         let slabs = Slabs::new(inputs);
         let packed = match layout {
             Layout::Patches => pack_patches(&plain, rows, inputs, outputs, &slabs),

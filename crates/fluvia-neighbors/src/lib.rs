@@ -10,9 +10,11 @@
 //! same bits at any thread count.
 
 mod grid;
+mod grids;
 mod transpose;
 
 pub use grid::Grid;
+pub use grids::Grids;
 pub use transpose::Transpose;
 
 /// A position in metres: x, y, z.

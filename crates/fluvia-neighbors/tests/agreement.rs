@@ -1,6 +1,6 @@
 //! The grid against its specification, `brute_force`.
 
-use fluvia_neighbors::{Grid, Metric, Neighbors, Options, Point, Radius, Transpose, brute_force};
+use fluvia_neighbors::{Grid, Grids, Metric, Neighbors, Options, Point, Radius, Transpose, brute_force};
 use proptest::prelude::*;
 
 /// Rows as sorted sets: the order inside a row is not part of the contract.
@@ -136,6 +136,44 @@ fn the_transpose_lists_every_pair_once() {
             let (q, pair) = (queries.indices[k] as usize, pairs[k] as usize);
             assert_eq!(neighbors.indices[pair] as usize, point);
             assert!((neighbors.row_splits[q]..neighbors.row_splits[q + 1]).contains(&pair));
+        }
+    }
+}
+
+#[test]
+fn clouds_are_searched_as_one_call_each() {
+    let points: Vec<Point> =
+        (0..90u8).map(|i| [f32::from(i % 7), f32::from(i % 11), f32::from(i % 3)]).collect();
+    let radii: Vec<f32> = (0..90u8).map(|i| 0.5 + f32::from(i % 4)).collect();
+    let options = Options { distances: true, ignore_coincident: true, ..Options::default() };
+    for clouds in [vec![0, 90], vec![0, 0, 40, 41, 90], vec![0]] {
+        let points = &points[..clouds[clouds.len() - 1]];
+        let radii = &radii[..points.len()];
+        for radius in [Radius::Uniform(1.5), Radius::PerQuery(radii)] {
+            let (mut grids, mut together) = (Grids::new(), Neighbors::default());
+            grids.build(points, &clouds, 1.5);
+            grids.search(points, &clouds, radius, &options, &mut together);
+            assert_eq!(together.queries(), points.len());
+            for cloud in clouds.windows(2) {
+                let rows = cloud[0]..cloud[1];
+                let (mut grid, mut alone) = (Grid::new(), Neighbors::default());
+                grid.build(&points[rows.clone()], 1.5);
+                let radius = match radius {
+                    Radius::PerQuery(radii) => Radius::PerQuery(&radii[rows.clone()]),
+                    uniform => uniform,
+                };
+                grid.search(&points[rows.clone()], radius, &options, &mut alone);
+                let order: Vec<u32> = grid.order().iter().map(|i| i + cloud[0] as u32).collect();
+                assert_eq!(&grids.order()[rows.clone()], order);
+                for (q, row) in rows.enumerate() {
+                    let expected: Vec<u32> = alone.row(q).iter().map(|i| i + cloud[0] as u32).collect();
+                    assert_eq!(together.row(row), expected);
+                    assert_eq!(
+                        together.distances[together.row_splits[row]..together.row_splits[row + 1]],
+                        alone.distances[alone.row_splits[q]..alone.row_splits[q + 1]]
+                    );
+                }
+            }
         }
     }
 }

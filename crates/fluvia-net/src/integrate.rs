@@ -10,35 +10,48 @@
 //!
 //! Metres, seconds; one entry a particle.
 
+use fluvia_neighbors::Point;
 use fluvia_sim::particles::Acceleration;
 
 use crate::config::{Config, Integration};
 
-/// The state before the network: x* and v* of Eq. 10 and 11.
-#[derive(Clone, Debug, Default)]
-pub struct Predicted {
-    /// Intermediate positions x*, metres.
-    pub position: Vec<[f32; 3]>,
-    /// Intermediate velocities v*, metres per second.
-    pub velocity: Vec<[f32; 3]>,
+/// Positions and velocities, metres and metres per second; one entry a particle.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct State {
+    /// Positions.
+    pub position: Vec<Point>,
+    /// Velocities.
+    pub velocity: Vec<Point>,
 }
 
-/// Applies the external acceleration, Eq. 10 and 11, into `predicted`, whose memory is reused.
+impl State {
+    /// Zeros for so many particles.
+    pub fn zeros(count: usize) -> State {
+        State { position: vec![[0.0; 3]; count], velocity: vec![[0.0; 3]; count] }
+    }
+}
+
+/// Applies the external acceleration, Eq. 10 and 11: x* and v* into `predicted`, whose memory is reused.
 pub fn predict(
-    position: &[[f32; 3]],
-    velocity: &[[f32; 3]],
+    position: &[Point],
+    velocity: &[Point],
     acceleration: Acceleration<'_>,
     dt: f32,
-    predicted: &mut Predicted,
+    predicted: &mut State,
 ) {
     predicted.position.clear();
     predicted.velocity.clear();
     for (i, (x, v)) in position.iter().zip(velocity).enumerate() {
         let a = acceleration.of(i);
-        let v_star: [f32; 3] = std::array::from_fn(|k| v[k] + dt * a[k]);
+        let v_star: Point = std::array::from_fn(|k| v[k] + dt * a[k]);
         predicted.position.push(std::array::from_fn(|k| x[k] + dt * (v[k] + v_star[k]) / 2.0));
         predicted.velocity.push(v_star);
     }
+}
+
+/// The backward pass of [`predict`]: the derivatives by x and v of one particle from those by x* and v*.
+pub fn predict_backward(dt: f32, by_x_star: Point, by_v_star: Point) -> (Point, Point) {
+    (by_x_star, std::array::from_fn(|k| by_v_star[k] + dt * by_x_star[k]))
 }
 
 /// What the velocity output is multiplied by beside the scale and 1/Δt, so that both outputs of a network of
@@ -48,15 +61,9 @@ const VELOCITY_SCALE: f32 = 2.0;
 /// Applies the network's output for one particle: its new position and velocity from its old position `x`,
 /// x*, v* and the output row o.
 #[inline]
-pub fn correct(
-    config: &Config,
-    x: [f32; 3],
-    x_star: [f32; 3],
-    v_star: [f32; 3],
-    output: &[f32],
-) -> ([f32; 3], [f32; 3]) {
+pub fn correct(config: &Config, x: Point, x_star: Point, v_star: Point, output: &[f32]) -> (Point, Point) {
     let scale = config.output_scale;
-    let position: [f32; 3] = std::array::from_fn(|k| x_star[k] + output[k] * scale);
+    let position: Point = std::array::from_fn(|k| x_star[k] + output[k] * scale);
     let velocity = match config.integration {
         Integration::Paper => std::array::from_fn(|k| (position[k] - x[k]) / config.dt),
         Integration::Velocity => {
@@ -64,4 +71,43 @@ pub fn correct(
         }
     };
     (position, velocity)
+}
+
+/// Derivatives by what [`correct`] starts from.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CorrectGradient {
+    /// By the old position x, through Eq. 14.
+    pub x: Point,
+    /// By x*.
+    pub x_star: Point,
+    /// By v*.
+    pub v_star: Point,
+}
+
+/// The backward pass of [`correct`] for one particle, from the derivatives by its new position and velocity; those by
+/// its output row are written to `by_output`.
+pub fn correct_backward(
+    config: &Config,
+    by_position: Point,
+    by_velocity: Point,
+    by_output: &mut [f32],
+) -> CorrectGradient {
+    let (scale, dt) = (config.output_scale, config.dt);
+    let gradient = match config.integration {
+        Integration::Paper => CorrectGradient {
+            x: by_velocity.map(|d| -d / dt),
+            x_star: std::array::from_fn(|k| by_position[k] + by_velocity[k] / dt),
+            v_star: [0.0; 3],
+        },
+        Integration::Velocity => {
+            for k in 0..3 {
+                by_output[3 + k] = VELOCITY_SCALE * scale / dt * by_velocity[k];
+            }
+            CorrectGradient { x: [0.0; 3], x_star: by_position, v_star: by_velocity }
+        }
+    };
+    for k in 0..3 {
+        by_output[k] = scale * gradient.x_star[k];
+    }
+    gradient
 }

@@ -8,6 +8,8 @@ pub mod integrate;
 pub mod net;
 pub mod reference;
 pub mod solver;
+pub mod step;
+pub mod unroll;
 pub mod weights;
 
 mod error;

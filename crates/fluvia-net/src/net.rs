@@ -11,16 +11,20 @@
 //!
 //! C_k and D_k are one operator with 4 × 4 × 4 + 1 cells (section 5.1).
 
+mod backward;
+
 use cconv::{
-    Columns, Dense, Extent, Filter, Geometry, Kernel, Options, PointSets, Workspace, dense, forward,
-    forward_into,
+    Columns, Dense, Extent, Filter, Geometry, Kernel, Options, PairGradient, PointSets, Workspace, dense,
+    forward, forward_into,
 };
-use fluvia_neighbors::{Grid, Neighbors, Radius};
+use fluvia_neighbors::{Grids, Neighbors, Point, Radius};
 use rayon::prelude::*;
 
 use crate::Result;
 use crate::config::{Config, WALL_INPUTS};
 use crate::weights::{Convolution, Weights};
+
+pub use backward::NetworkGradients;
 
 /// Channels of a wall particle's features: its normal and a zero, so that four lanes hold them.
 const WALL_CHANNELS: usize = 4;
@@ -40,37 +44,66 @@ pub struct Network {
     layers: Vec<Filter>,
 }
 
-/// Wall particles, sorted and indexed for the search; made once, for walls do not move.
+/// Wall particles of one cloud or of several, sorted and indexed for the search; made once, for walls do not move.
 #[derive(Debug)]
 pub struct Walls {
-    position: Vec<[f32; 3]>,
+    position: Vec<Point>,
     /// Normals, each followed by a zero.
     features: Vec<f32>,
-    grid: Grid,
+    grids: Grids,
 }
 
-/// Working memory of a forward pass, and its result.
+/// What a forward pass leaves: its result, and what the backward pass needs of it.
 #[derive(Debug, Default)]
 pub struct Pass {
-    grid: Grid,
     /// Fluid neighbours of each particle, itself excluded.
     pub fluid_neighbors: Neighbors,
     /// Wall neighbours of each particle.
     pub wall_neighbors: Neighbors,
     fluid_geometry: Geometry,
     wall_geometry: Geometry,
-    /// h_k before the activation, and after it.
-    values: Vec<f32>,
+    /// h_0 … h_K before the activation; those before h_K are empty if they were not kept.
+    values: Vec<Vec<f32>>,
+}
+
+/// Working memory of the passes, which they can share.
+#[derive(Debug, Default)]
+pub struct Memory {
+    /// For sorting the particles, and for searching among them when they are sorted.
+    pub(crate) order: Grids,
+    grids: Grids,
     activated: Vec<f32>,
-    next: Vec<f32>,
+    /// Values of layers that are no longer needed.
+    spare: Vec<Vec<f32>>,
+    pairs: PairGradient,
     workspace: Workspace,
+}
+
+/// Whether h_0 … h_(K−1) stay in memory for a backward pass.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Activations {
+    /// All of them: 900 bytes a particle in the published network.
+    Keep,
+    /// Only h_K, the output.
+    Drop,
 }
 
 impl Pass {
     /// The output o of the last forward pass: [particles, outputs].
     pub fn output(&self) -> &[f32] {
-        &self.values
+        self.values.last().map_or(&[], Vec::as_slice)
     }
+}
+
+/// The particles of a pass: one cloud or several.
+#[derive(Clone, Copy, Debug)]
+pub struct Fluid<'a> {
+    /// Positions x*. A pass is fastest if particles that are near in space are near in memory.
+    pub position: &'a [Point],
+    /// [1, v*, extra] of each particle, [particles, inputs].
+    pub features: &'a [f32],
+    /// Where the particles of each cloud start: clouds + 1 entries, the last the number of particles.
+    pub clouds: &'a [usize],
 }
 
 impl Network {
@@ -124,64 +157,123 @@ impl Network {
         self.kernel
     }
 
-    /// Prepares wall particles for this network.
-    pub fn walls(&self, position: &[[f32; 3]], normal: &[[f32; 3]]) -> Walls {
-        let mut grid = Grid::new();
-        grid.build(position, self.config.filter_radius);
+    /// Prepares wall particles for this network. `clouds` says where those of each cloud start: clouds + 1
+    /// entries, the last the number of wall particles.
+    pub fn walls(&self, position: &[Point], normal: &[Point], clouds: &[usize]) -> Walls {
+        let mut grids = Grids::new();
+        grids.build(position, clouds, self.config.filter_radius);
         // In the order of the cells, so that neighbours are near in memory.
-        let order: Vec<usize> = grid.order().iter().map(|&i| i as usize).collect();
+        let order: Vec<usize> = grids.order().iter().map(|&i| i as usize).collect();
         let position: Vec<_> = order.iter().map(|&i| position[i]).collect();
         let features = order.iter().flat_map(|&i| [normal[i][0], normal[i][1], normal[i][2], 0.0]).collect();
-        grid.build(&position, self.config.filter_radius);
-        Walls { position, features, grid }
+        grids.build(&position, clouds, self.config.filter_radius);
+        Walls { position, features, grids }
     }
 
     /// Finds the neighbours of particles at x*, among them and among the walls, without what is at distance zero: the
     /// particle itself, and whatever coincides with it.
-    pub fn search(&self, position: &[[f32; 3]], walls: &mut Walls, pass: &mut Pass) {
-        let radius = self.config.filter_radius;
-        let options = fluvia_neighbors::Options { ignore_coincident: true, ..Default::default() };
-        pass.grid.build(position, radius);
-        pass.grid.search(position, Radius::Uniform(radius), &options, &mut pass.fluid_neighbors);
-        walls.grid.search(position, Radius::Uniform(radius), &options, &mut pass.wall_neighbors);
-    }
-
-    /// Computes o for particles at x* with the features [1, v*, extra] ([particles, inputs]); read it from
-    /// [`Pass::output`]. Fastest if particles that are near in space are near in memory.
     ///
     /// # Panics
-    /// If the number of features is not that of the particles times the inputs.
-    pub fn forward(&self, position: &[[f32; 3]], features: &[f32], walls: &mut Walls, pass: &mut Pass) {
-        self.search(position, walls, pass);
-        let Pass { fluid_neighbors, wall_neighbors, fluid_geometry, wall_geometry, workspace, .. } = pass;
-        let extent = Extent::Uniform(2.0 * self.config.filter_radius);
-        let fluid_sets = PointSets::new(position, position, fluid_neighbors, extent);
-        fluid_geometry.build(&self.options, &fluid_sets, self.kernel);
-        let wall_sets = PointSets::new(&walls.position, position, wall_neighbors, extent);
-        wall_geometry.build(&self.options, &wall_sets, self.kernel);
+    /// If there are other numbers of clouds of particles and of walls.
+    pub fn search(
+        &self,
+        position: &[Point],
+        clouds: &[usize],
+        walls: &mut Walls,
+        pass: &mut Pass,
+        memory: &mut Memory,
+    ) {
+        let radius = self.config.filter_radius;
+        let options = fluvia_neighbors::Options { ignore_coincident: true, ..Default::default() };
+        let (grids, uniform) = (&mut memory.grids, Radius::Uniform(radius));
+        grids.build(position, clouds, radius);
+        grids.search(position, clouds, uniform, &options, &mut pass.fluid_neighbors);
+        walls.grids.search(position, clouds, uniform, &options, &mut pass.wall_neighbors);
+    }
 
-        let widths =
-            [self.obstacle.out_channels(), self.fluid.out_channels(), self.fluid_dense.out_channels()];
-        let stride = widths.iter().sum();
-        let values = &mut pass.values;
-        values.resize(position.len() * stride, 0.0);
-        let first = Columns { values, stride, first: 0 };
-        forward_into(wall_geometry, &self.obstacle, &walls.features, first, workspace);
-        let second = Columns { values, stride, first: widths[0] };
-        forward_into(fluid_geometry, &self.fluid, features, second, workspace);
-        let third = Columns { values, stride, first: widths[0] + widths[1] };
-        dense(&self.fluid_dense, features, third, workspace, self.kernel);
+    /// Computes o; read it from [`Pass::output`].
+    ///
+    /// # Panics
+    /// If the number of features is not that of the particles times the inputs, or if there are other numbers of
+    /// clouds of particles and of walls.
+    pub fn forward(
+        &self,
+        fluid: Fluid<'_>,
+        walls: &mut Walls,
+        activations: Activations,
+        pass: &mut Pass,
+        memory: &mut Memory,
+    ) {
+        let Fluid { position, features, clouds } = fluid;
+        self.search(position, clouds, walls, pass, memory);
+        let (fluid_sets, wall_sets) = self.sets(fluid, walls, &pass.fluid_neighbors, &pass.wall_neighbors);
+        pass.fluid_geometry.build(&self.options, &fluid_sets, self.kernel);
+        pass.wall_geometry.build(&self.options, &wall_sets, self.kernel);
 
-        for layer in &self.layers {
-            activate(&pass.values, &mut pass.activated);
-            pass.next.resize(position.len() * layer.out_channels(), 0.0);
-            forward(fluid_geometry, layer, &pass.activated, &mut pass.next, workspace);
-            if layer.in_channels() == layer.out_channels() {
-                add(&mut pass.next, &pass.values);
+        let Pass { fluid_geometry, wall_geometry, values, .. } = pass;
+        let Memory { activated, spare, workspace, .. } = memory;
+        values.resize_with(self.layers.len() + 1, Vec::new);
+        let [walls_width, fluid_width, dense_width] = self.first_widths();
+        let stride = walls_width + fluid_width + dense_width;
+        let first = &mut values[0];
+        take_spare(first, spare);
+        first.resize(position.len() * stride, 0.0);
+        let columns = Columns { values: first, stride, first: 0 };
+        forward_into(wall_geometry, &self.obstacle, &walls.features, columns, workspace);
+        let columns = Columns { values: first, stride, first: walls_width };
+        forward_into(fluid_geometry, &self.fluid, features, columns, workspace);
+        let columns = Columns { values: first, stride, first: walls_width + fluid_width };
+        dense(&self.fluid_dense, features, columns, workspace, self.kernel);
+
+        for (k, layer) in self.layers.iter().enumerate() {
+            let (before, next) = values[k..].split_first_mut().expect("a value for each layer and one more");
+            let next = &mut next[0];
+            activate(before, activated);
+            take_spare(next, spare);
+            next.resize(position.len() * layer.out_channels(), 0.0);
+            forward(fluid_geometry, layer, activated, next, workspace);
+            if is_residual(layer) {
+                add(next, before);
             }
-            std::mem::swap(&mut pass.values, &mut pass.next);
+            if activations == Activations::Drop {
+                spare.push(std::mem::take(before));
+            }
         }
     }
+
+    /// Channels of the three parts of the first layer.
+    fn first_widths(&self) -> [usize; 3] {
+        [self.obstacle.out_channels(), self.fluid.out_channels(), self.fluid_dense.out_channels()]
+    }
+
+    /// The points of the two geometries: among the fluid, and of walls and fluid.
+    fn sets<'a>(
+        &self,
+        fluid: Fluid<'a>,
+        walls: &'a Walls,
+        fluid_neighbors: &'a Neighbors,
+        wall_neighbors: &'a Neighbors,
+    ) -> (PointSets<'a>, PointSets<'a>) {
+        let Fluid { position, clouds, .. } = fluid;
+        let extent = Extent::Uniform(2.0 * self.config.filter_radius);
+        (
+            PointSets::new(position, position, fluid_neighbors, extent).with_clouds(clouds, clouds),
+            PointSets::new(&walls.position, position, wall_neighbors, extent)
+                .with_clouds(walls.grids.clouds(), clouds),
+        )
+    }
+}
+
+/// Memory for values that have none.
+fn take_spare(values: &mut Vec<f32>, spare: &mut Vec<Vec<f32>>) {
+    if values.is_empty() {
+        *values = spare.pop().unwrap_or_default();
+    }
+}
+
+/// Whether the input of a layer is added to its output.
+fn is_residual(layer: &Filter) -> bool {
+    layer.in_channels() == layer.out_channels()
 }
 
 /// Adds zero channels to the inputs of a filter [cells, in, out].

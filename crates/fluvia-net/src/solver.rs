@@ -5,9 +5,8 @@ use cconv::Kernel;
 use fluvia_sim::particles::{Acceleration, Boundary, Particles};
 use fluvia_sim::rollout::{Solver, StepInfo};
 
-use crate::config::BASE_INPUTS;
-use crate::integrate::{Predicted, correct, predict};
-use crate::net::{Network, Pass, Walls};
+use crate::net::{Activations, Memory, Network, Walls};
+use crate::step::{Step, World};
 use crate::weights::Weights;
 use crate::{Error, Result};
 
@@ -19,11 +18,10 @@ pub struct NetSolver {
     walls: Walls,
     /// The extra input of the particles of each body, if the network has one.
     viscosity: Option<Vec<f32>>,
-    pass: Pass,
-    predicted: Predicted,
-    sorted: Predicted,
-    features: Vec<f32>,
-    order: fluvia_neighbors::Grid,
+    /// The extra inputs of each particle.
+    extra: Vec<f32>,
+    step: Step,
+    memory: Memory,
 }
 
 /// The name of the extra input feature that this solver can give: the viscosity of the particle's body.
@@ -55,16 +53,14 @@ impl NetSolver {
                 )));
             }
         };
-        let walls = network.walls(&boundary.position, &boundary.normal);
+        let walls = network.walls(&boundary.position, &boundary.normal, &[0, boundary.position.len()]);
         Ok(NetSolver {
             network,
             walls,
             viscosity,
-            pass: Pass::default(),
-            predicted: Predicted::default(),
-            sorted: Predicted::default(),
-            features: Vec::new(),
-            order: fluvia_neighbors::Grid::new(),
+            extra: Vec::new(),
+            step: Step::default(),
+            memory: Memory::default(),
         })
     }
 
@@ -73,30 +69,22 @@ impl NetSolver {
         &self.network
     }
 
-    /// Sorts the predicted particles by cell and lays out their features [1, v*, extra].
-    fn sort(&mut self, body: &[u32]) {
-        self.order.build(&self.predicted.position, self.network.config().filter_radius);
-        self.sorted.position.clear();
-        self.features.clear();
-        for &i in self.order.order() {
-            let i = i as usize;
-            self.sorted.position.push(self.predicted.position[i]);
-            self.features.push(1.0);
-            self.features.extend(self.predicted.velocity[i]);
-            if let Some(viscosity) = &self.viscosity {
-                self.features.push(viscosity[body[i] as usize]);
-            }
+    /// Looks up the extra inputs of all particles.
+    fn look_up(&mut self, body: &[u32]) {
+        self.extra.clear();
+        if let Some(viscosity) = &self.viscosity {
+            self.extra.extend(body.iter().map(|&body| viscosity[body as usize]));
         }
-        debug_assert!(self.features.len() >= BASE_INPUTS * body.len(), "one row of features a particle");
     }
 
     /// Finds all pairs of a step as [`Solver::step`] does, and nothing else; for measuring.
     pub fn search(&mut self, particles: &Particles, acceleration: Acceleration<'_>) -> usize {
-        let dt = self.network.config().dt;
-        predict(&particles.position, &particles.velocity, acceleration, dt, &mut self.predicted);
-        self.sort(&particles.body);
-        self.network.search(&self.sorted.position, &mut self.walls, &mut self.pass);
-        self.pass.fluid_neighbors.indices.len() + self.pass.wall_neighbors.indices.len()
+        self.look_up(&particles.body);
+        let world = World { extra: &self.extra, acceleration, clouds: &[0, particles.len()] };
+        let state = (particles.position.as_slice(), particles.velocity.as_slice());
+        self.step.search(&self.network, state, world, &mut self.walls, &mut self.memory);
+        let (fluid, walls) = self.step.pairs();
+        fluid + walls
     }
 }
 
@@ -117,24 +105,16 @@ impl Solver for NetSolver {
                 "dt: {dt} s, but the weights were made for steps of {made_for} s"
             )));
         }
-        predict(&particles.position, &particles.velocity, acceleration, dt, &mut self.predicted);
-        self.sort(&particles.body);
-        self.network.forward(&self.sorted.position, &self.features, &mut self.walls, &mut self.pass);
-
-        let config = self.network.config();
-        let rows = self.pass.output().chunks_exact(config.integration.outputs());
-        for (&i, output) in self.order.order().iter().zip(rows) {
-            let i = i as usize;
-            let (x_star, v_star) = (self.predicted.position[i], self.predicted.velocity[i]);
-            let (x, v) = correct(config, particles.position[i], x_star, v_star, output);
-            particles.position[i] = x;
-            particles.velocity[i] = v;
-        }
-        let counts = (0..particles.len()).map(|q| self.pass.fluid_neighbors.count(q));
+        self.look_up(&particles.body);
+        let world = World { extra: &self.extra, acceleration, clouds: &[0, particles.len()] };
+        let state = (particles.position.as_slice(), particles.velocity.as_slice());
+        let NetSolver { network, walls, memory, step, .. } = self;
+        step.forward(network, state, world, walls, Activations::Drop, memory);
+        step.correct(network, &mut particles.position, &mut particles.velocity);
         Ok(StepInfo {
             substeps: 1,
-            max_neighbors: counts.max().unwrap_or(0) as u32,
-            neighbor_radius: config.filter_radius,
+            max_neighbors: step.neighbor_counts().into_iter().max().unwrap_or(0),
+            neighbor_radius: network.config().filter_radius,
         })
     }
 }

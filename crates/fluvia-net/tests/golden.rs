@@ -4,11 +4,14 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use cconv::Kernel;
+use cconv::{Kernel, PositionGradient};
 use fluvia_neighbors::{Grid, Neighbors, Options, Radius};
-use fluvia_net::integrate::{Predicted, predict};
+use fluvia_net::integrate::{self, predict};
+use fluvia_net::net;
 use fluvia_net::reference::{self, Network, State, World};
 use fluvia_net::solver::NetSolver;
+use fluvia_net::step::{self, StepGradients};
+use fluvia_net::unroll::{Storage, Unroll};
 use fluvia_net::weights::{self, Weights};
 use fluvia_sim::frames::npz::{Array, read_arrays};
 use fluvia_sim::particles::{Acceleration, Boundary, Particles};
@@ -119,7 +122,7 @@ fn neighbour_counts_equal_open3ds() {
     let radius = weights.config.filter_radius;
     for golden in goldens {
         let start = golden.particles();
-        let mut predicted = Predicted::default();
+        let mut predicted = integrate::State::default();
         predict(&start.position, &start.velocity, GRAVITY, DT, &mut predicted);
         let points = &predicted.position;
         let (mut grid, mut found) = (Grid::new(), Neighbors::default());
@@ -185,5 +188,56 @@ fn one_step_equals_the_float64_reference() {
         let error = pairs.map(|(a, b)| (f64::from(*a) - b).abs()).fold(0.0, f64::max);
         // Float32 positions of up to 2 m are spaced by 1e-7 m, and the correction is computed in float32.
         assert!(error < 1e-6, "{}: positions off by {error:.1e} m", kernel.name());
+    }
+}
+
+/// Two steps and the gradients of a sum over both, with the gradient stopped at the positions as Open3D does.
+#[test]
+fn gradients_of_two_steps_equal_open3ds() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/golden");
+    let weights = weights::load(folder.join("net.pt")).unwrap();
+    let (start, golden) =
+        (Golden::open(&folder.join("net.npz")), Golden::open(&folder.join("net_gradient.npz")));
+    let boundary = start.boundary();
+    let start = integrate::State { position: start.points("pos"), velocity: start.points("vel") };
+    let count = start.position.len();
+    let by_states = [1, 2].map(|step| integrate::State {
+        position: golden.points(&format!("pos_grad_{step}")),
+        velocity: golden.points(&format!("vel_grad_{step}")),
+    });
+    for kernel in Kernel::available() {
+        let network = net::Network::new(&weights, kernel).unwrap();
+        let mut walls = network.walls(&boundary.position, &boundary.normal, &[0, boundary.position.len()]);
+        let world = step::World { extra: &[], acceleration: GRAVITY, clouds: &[0, count] };
+        let mut unroll = Unroll::new(Storage::Keep);
+        unroll.forward(&network, &start, world, &mut walls, by_states.len());
+        let mut tensors: Vec<Vec<f32>> =
+            weights.tensors().iter().map(|tensor| vec![0.0; tensor.values.len()]).collect();
+        let mut state = integrate::State::zeros(count);
+        let wanted = StepGradients { tensors: Some(&mut tensors), state: Some(&mut state), extra: None };
+        unroll.backward(&network, &by_states, world, &mut walls, PositionGradient::Stop, wanted);
+
+        // Both sides are float32 sums.
+        let close = |name: &str, values: &[f32], expected: &[f64]| {
+            assert_eq!(values.len(), expected.len(), "{name}");
+            let scale = expected.iter().fold(0.0f64, |a, x| a.max(x.abs()));
+            let differences = values.iter().zip(expected).map(|(a, b)| (f64::from(*a) - b).abs());
+            let error = differences.fold(0.0, |a, d| if d > a || d.is_nan() { d } else { a }) / scale;
+            assert!(error < 1e-4, "{}: {name} off by {error:.1e}", kernel.name());
+        };
+        close("pos", state.position.as_flattened(), golden.values("pos_grad"));
+        close("vel", state.velocity.as_flattened(), golden.values("vel_grad"));
+        for (tensor, values) in weights.tensors().iter().zip(&tensors) {
+            let expected = golden.values(&tensor.name);
+            let shape = &tensor.shape;
+            if tensor.name.ends_with(".weight") {
+                // PyTorch's layout is [out, in].
+                let place = |k: usize| (k % shape[1]) * shape[0] + k / shape[1];
+                let transposed: Vec<f64> = (0..values.len()).map(|k| expected[place(k)]).collect();
+                close(&tensor.name, values, &transposed);
+            } else {
+                close(&tensor.name, values, expected);
+            }
+        }
     }
 }

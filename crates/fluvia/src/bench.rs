@@ -6,14 +6,16 @@ use std::process::ExitCode;
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
-use cconv::Kernel;
+use cconv::{Kernel, PositionGradient};
 use fluvia_net::config::Config;
-use fluvia_net::solver::NetSolver;
-use fluvia_net::weights;
+use fluvia_net::integrate::State;
+use fluvia_net::net::{Activations, Memory, Network, Walls};
+use fluvia_net::step::{Step, StepGradients, World};
+use fluvia_net::unroll::{Storage, Unroll};
+use fluvia_net::weights::{self, Weights};
 use fluvia_sim::frames::npz;
 use fluvia_sim::metrics::Bounds;
 use fluvia_sim::particles::{Acceleration, Boundary, Particles};
-use fluvia_sim::rollout::Solver;
 use serde::Serialize;
 
 use crate::options::{thread_pool, threads};
@@ -44,6 +46,9 @@ pub struct Args {
     /// Repeat the state and its walls side by side along x.
     #[arg(long, value_name = "N", default_value = "1")]
     tile: NonZeroUsize,
+    /// Take so many copies of the state in one call, each a cloud of its own.
+    #[arg(long, value_name = "B", default_value = "1")]
+    batch: NonZeroUsize,
     /// Threads; all cores if not given.
     #[arg(long, value_name = "T", value_parser = threads)]
     threads: Option<usize>,
@@ -53,19 +58,24 @@ pub struct Args {
 }
 
 #[derive(Clone, Copy, clap::ValueEnum, Serialize)]
-#[serde(rename_all = "lowercase")]
+#[serde(rename_all = "kebab-case")]
 enum Stage {
     /// One step of the network, neighbour search included.
     Step,
     /// All pairs of a step: fluid and fluid, wall and fluid.
     Neighbors,
+    /// Two steps of every copy, a loss on their positions, and the gradient of all weights, with the positions as
+    /// constants inside the network as in the published training.
+    TrainStep,
 }
 
 /// The last line that is printed.
 #[derive(Serialize)]
 struct Timing {
     median_ms: f64,
+    /// Of one copy.
     particles: usize,
+    batch: usize,
     stage: Stage,
     threads: usize,
 }
@@ -73,31 +83,34 @@ struct Timing {
 pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
     thread_pool(args.threads)?.install(|| {
         let weights = weights::load(&args.weights)?;
-        let (particles, boundary) = load(&args.state, &weights.config, args.tile.get())?;
-        let mut solver = NetSolver::new(&weights, &boundary, &[None], Kernel::detect())?;
+        let copies = (args.tile.get(), args.batch.get());
+        let (particles, boundary) = load(&args.state, &weights.config, copies)?;
+        let mut bench = Bench::new(weights, &particles, &boundary, args.batch.get())?;
         let mut times = Vec::with_capacity(args.steps.get());
         for repetition in 0..=args.steps.get() {
-            let elapsed = time(args.stage, &mut solver, &particles, &weights.config)?;
+            let start = Instant::now();
+            bench.run(args.stage)?;
             if repetition > 0 {
-                times.push(elapsed);
+                times.push(1e3 * start.elapsed().as_secs_f64());
             }
         }
         let timing = Timing {
             median_ms: median(&mut times),
             particles: particles.len(),
+            batch: args.batch.get(),
             stage: args.stage,
             threads: rayon::current_num_threads(),
         };
         if !args.json && !report.is_quiet() {
+            let all = particles.len() * timing.batch;
             report.result(format_args!(
-                "{} particles, {} wall particles, kernel {}: {:.2} ms ({:.2} to {:.2}), {:.2} µs a particle",
-                particles.len(),
-                boundary.position.len(),
-                solver.network().kernel().name(),
+                "{all} particles, {} wall particles, kernel {}: {:.2} ms ({:.2} to {:.2}), {:.2} µs a particle",
+                boundary.position.len() * timing.batch,
+                bench.network.kernel().name(),
                 timing.median_ms,
                 times[0],
                 times[times.len() - 1],
-                1e3 * timing.median_ms / particles.len().max(1) as f64,
+                1e3 * timing.median_ms / all.max(1) as f64,
             ))?;
         }
         report.result(serde_json::to_string(&timing)?)?;
@@ -108,20 +121,93 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
 /// A network needs several kilobytes a particle: more do not fit into any machine's memory.
 const MAX_PARTICLES: usize = 50_000_000;
 
-/// One repetition from the same state, milliseconds.
-fn time(stage: Stage, solver: &mut NetSolver, particles: &Particles, config: &Config) -> Result<f64> {
-    let gravity = Acceleration::Uniform(config.gravity);
-    let mut moved = particles.clone();
-    let start = Instant::now();
-    match stage {
-        Stage::Step => {
-            solver.step(&mut moved, gravity, config.dt)?;
+/// Steps of the training stage.
+const TRAIN_STEPS: usize = 2;
+
+/// Copies of a state and what moves them; the memory is reused from repetition to repetition.
+struct Bench {
+    weights: Weights,
+    network: Network,
+    walls: Walls,
+    state: State,
+    clouds: Vec<usize>,
+    extra: Vec<f32>,
+    step: Step,
+    memory: Memory,
+    unroll: Unroll,
+    tensors: Vec<Vec<f32>>,
+}
+
+impl Bench {
+    fn new(weights: Weights, particles: &Particles, boundary: &Boundary, batch: usize) -> Result<Bench> {
+        let network = Network::new(&weights, Kernel::detect())?;
+        let starts = |count: usize| (0..=batch).map(|k| k * count).collect::<Vec<_>>();
+        let (wall, normal) = (boundary.position.repeat(batch), boundary.normal.repeat(batch));
+        let walls = network.walls(&wall, &normal, &starts(boundary.position.len()));
+        let (position, velocity) = (particles.position.repeat(batch), particles.velocity.repeat(batch));
+        let extras = weights.config.extra_inputs.len();
+        Ok(Bench {
+            walls,
+            clouds: starts(particles.len()),
+            extra: vec![weights.config.viscosity; position.len() * extras],
+            state: State { position, velocity },
+            step: Step::default(),
+            memory: Memory::default(),
+            unroll: Unroll::new(Storage::Keep),
+            tensors: weights.tensors().iter().map(|tensor| vec![0.0; tensor.values.len()]).collect(),
+            network,
+            weights,
+        })
+    }
+
+    /// One repetition, always from the same state.
+    fn run(&mut self, stage: Stage) -> Result<()> {
+        let gravity = Acceleration::Uniform(self.weights.config.gravity);
+        let world = World { extra: &self.extra, acceleration: gravity, clouds: &self.clouds };
+        let Bench { network, walls, state, step, memory, .. } = self;
+        let before = (state.position.as_slice(), state.velocity.as_slice());
+        match stage {
+            Stage::Step => {
+                let State { mut position, mut velocity } = state.clone();
+                step.forward(network, before, world, walls, Activations::Drop, memory);
+                step.correct(network, &mut position, &mut velocity);
+            }
+            Stage::Neighbors => step.search(network, before, world, walls, memory),
+            Stage::TrainStep => self.train_step()?,
         }
-        Stage::Neighbors => {
-            solver.search(&moved, gravity);
+        Ok(())
+    }
+
+    /// The weights change from step to step in training, so preparing them counts.
+    fn train_step(&mut self) -> Result<()> {
+        let gravity = Acceleration::Uniform(self.weights.config.gravity);
+        self.network = Network::new(&self.weights, Kernel::detect())?;
+        self.tensors.iter_mut().for_each(|tensor| tensor.fill(0.0));
+        let Bench { network, walls, state, clouds, extra, unroll, tensors, .. } = self;
+        let world = World { extra, acceleration: gravity, clouds };
+        unroll.forward(network, state, world, walls, TRAIN_STEPS);
+        let by_states: Vec<State> =
+            unroll.states().iter().map(|moved| distance_gradient(&moved.position, state, clouds)).collect();
+        let wanted = StepGradients { tensors: Some(tensors), ..StepGradients::default() };
+        unroll.backward(network, &by_states, world, walls, PositionGradient::Stop, wanted);
+        Ok(())
+    }
+}
+
+/// The derivatives of the sum over clouds of the mean over particles of √(|x − x₀|² + ε), ε = 1e-9 m², with x₀ the
+/// positions of `start`.
+fn distance_gradient(position: &[[f32; 3]], start: &State, clouds: &[usize]) -> State {
+    const EPSILON: f32 = 1e-9;
+    let mut gradient = State::zeros(position.len());
+    for cloud in clouds.windows(2) {
+        let scale = 1.0 / (cloud[1] - cloud[0]) as f32;
+        for i in cloud[0]..cloud[1] {
+            let d: [f32; 3] = std::array::from_fn(|axis| position[i][axis] - start.position[i][axis]);
+            let distance = (d.iter().map(|x| x * x).sum::<f32>() + EPSILON).sqrt();
+            gradient.position[i] = d.map(|x| scale * x / distance);
         }
     }
-    Ok(1e3 * start.elapsed().as_secs_f64())
+    gradient
 }
 
 /// Sorts the values; the median of an even number is the mean of the two in the middle.
@@ -132,7 +218,7 @@ fn median(values: &mut [f64]) -> f64 {
 }
 
 /// The particles and walls of a state, repeated side by side.
-fn load(path: &Path, config: &Config, tiles: usize) -> Result<(Particles, Boundary)> {
+fn load(path: &Path, config: &Config, (tiles, batch): (usize, usize)) -> Result<(Particles, Boundary)> {
     let arrays = npz::read_arrays(path)?;
     let points = |name: &str| -> Result<Vec<[f32; 3]>> {
         let array = arrays.get(name).with_context(|| format!("{}: no array `{name}`", path.display()))?;
@@ -149,9 +235,12 @@ fn load(path: &Path, config: &Config, tiles: usize) -> Result<(Particles, Bounda
     if position.len() != velocity.len() || wall.len() != normal.len() {
         bail!("{}: pos and vel, box and box_normals must have the same number of rows", path.display());
     }
-    let total = tiles.saturating_mul(position.len().max(wall.len()));
+    let total = tiles.saturating_mul(batch).saturating_mul(position.len().max(wall.len()));
     if total > MAX_PARTICLES {
-        bail!("{}: {tiles} tiles are {total} particles, expected at most {MAX_PARTICLES}", path.display());
+        bail!(
+            "{}: {tiles} tiles in a batch of {batch} are {total} particles, expected at most {MAX_PARTICLES}",
+            path.display()
+        );
     }
     // Twice the filter radius apart, so that no tile sees another.
     let everything: Vec<[f32; 3]> = position.iter().chain(&wall).copied().collect();

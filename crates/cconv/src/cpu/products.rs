@@ -8,6 +8,7 @@ use std::sync::Mutex;
 
 use rayon::prelude::*;
 
+use super::patches::Patches;
 use super::{Columns, Output, Scratch, Workspace, with_scratch};
 use crate::Filter;
 use crate::filter::panels;
@@ -20,14 +21,8 @@ const TASK_ROWS: usize = 16 * ROWS;
 /// How many pairs ahead the products of a neighbour are asked for.
 const PREFETCH_PAIRS: usize = 4;
 
-pub fn run(
-    lists: &Lists,
-    filter: &Filter,
-    group: usize,
-    features: &[f32],
-    output: Output<'_>,
-    workspace: &mut Workspace,
-) {
+pub fn run(source: Patches<'_>, group: usize, output: Output<'_>, workspace: &mut Workspace) {
+    let Patches { lists, filter, features } = source;
     let width = filter.rows() * group;
     let Workspace { scratch, whole, .. } = workspace;
     whole.reserve_len(lists.columns * width);

@@ -120,12 +120,12 @@ fn bench_prints_its_result_last() {
     let folder = with_run();
     let weights = fixture("plain.pt");
     let golden = format!("{}/../../fixtures/golden/net.npz", env!("CARGO_MANIFEST_DIR"));
-    for stage in ["step", "neighbors"] {
+    for stage in ["step", "neighbors", "train-step"] {
         let run = folder.succeed(&format!(
-            "bench --state {golden} --weights {weights} --steps 2 --stage {stage} --tile 3 --threads 1"
+            "bench --state {golden} --weights {weights} --steps 2 --stage {stage} --tile 3 --batch 2 --threads 1"
         ));
         let result = run.last_json();
-        assert_eq!(result["particles"], 3 * 125);
+        assert_eq!((&result["particles"], &result["batch"]), (&(3 * 125).into(), &2.into()));
         assert_eq!((&result["stage"], &result["threads"]), (&stage.into(), &1.into()));
         assert!(result["median_ms"].as_f64().unwrap() > 0.0);
     }
