@@ -48,3 +48,17 @@ impl DerefMut for AlignedVec {
         unsafe { std::slice::from_raw_parts_mut(self.lines.as_mut_ptr().cast(), self.lines.len() * LINE) }
     }
 }
+
+impl AlignedVec {
+    /// The same memory as bfloat16 values, two in the place of each float.
+    pub fn halves(&self) -> &[u16] {
+        // SAFETY: a `Line` is an array of floats without padding, and any bits are a `u16`.
+        unsafe { std::slice::from_raw_parts(self.lines.as_ptr().cast(), 2 * self.lines.len() * LINE) }
+    }
+
+    /// The same memory as bfloat16 values, two in the place of each float.
+    pub fn halves_mut(&mut self) -> &mut [u16] {
+        // SAFETY: as above, and any bits are a float.
+        unsafe { std::slice::from_raw_parts_mut(self.lines.as_mut_ptr().cast(), 2 * self.lines.len() * LINE) }
+    }
+}

@@ -39,6 +39,8 @@ pub struct Workspace {
 struct Scratch {
     patches: AlignedVec,
     sums: AlignedVec,
+    /// Patches in bfloat16.
+    rounded: AlignedVec,
     /// Rows of one factor as the matrix product reads them.
     packed: AlignedVec,
 }

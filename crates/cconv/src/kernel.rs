@@ -9,6 +9,9 @@ mod avx2;
 #[cfg(all(target_arch = "x86_64", not(fluvia_portable)))]
 mod avx512;
 #[cfg(all(target_arch = "x86_64", not(fluvia_portable)))]
+mod avx512_bf16;
+pub(crate) mod bf16;
+#[cfg(all(target_arch = "x86_64", not(fluvia_portable)))]
 mod instructions;
 mod portable;
 
@@ -32,6 +35,8 @@ pub struct Kernel(Set);
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Set {
     #[cfg(all(target_arch = "x86_64", not(fluvia_portable)))]
+    Avx512Bf16,
+    #[cfg(all(target_arch = "x86_64", not(fluvia_portable)))]
     Avx512,
     #[cfg(all(target_arch = "x86_64", not(fluvia_portable)))]
     Avx2,
@@ -49,6 +54,9 @@ impl Kernel {
         let mut kernels = Vec::new();
         #[cfg(all(target_arch = "x86_64", not(fluvia_portable)))]
         {
+            if avx512::available() && avx512::bf16_available() {
+                kernels.push(Kernel(Set::Avx512Bf16));
+            }
             if avx512::available() {
                 kernels.push(Kernel(Set::Avx512));
             }
@@ -60,9 +68,11 @@ impl Kernel {
         kernels
     }
 
-    /// The name by which reports call it: "avx512", "avx2" or "portable".
+    /// The name by which reports call it: "avx512-bf16", "avx512", "avx2" or "portable".
     pub fn name(self) -> &'static str {
         match self.0 {
+            #[cfg(all(target_arch = "x86_64", not(fluvia_portable)))]
+            Set::Avx512Bf16 => "avx512-bf16",
             #[cfg(all(target_arch = "x86_64", not(fluvia_portable)))]
             Set::Avx512 => "avx512",
             #[cfg(all(target_arch = "x86_64", not(fluvia_portable)))]
@@ -75,6 +85,9 @@ impl Kernel {
     pub(crate) fn run(self, operation: impl Operation) {
         match self.0 {
             // SAFETY: only `available` makes these values, after it has asked the processor.
+            #[cfg(all(target_arch = "x86_64", not(fluvia_portable)))]
+            Set::Avx512Bf16 => unsafe { avx512::run_bf16(operation) },
+            // SAFETY: as above.
             #[cfg(all(target_arch = "x86_64", not(fluvia_portable)))]
             Set::Avx512 => unsafe { avx512::run(operation) },
             // SAFETY: as above.
@@ -152,24 +165,50 @@ pub(crate) trait InstructionSet {
     fn multiply(product: Product<'_>);
     /// c += aᵀ · b, see [`Outer`].
     fn multiply_outer(outer: Outer<'_>);
+
+    /// c += a · b for factors in bfloat16.
+    #[inline(always)]
+    fn multiply_bf16(product: Product<'_, Bf16>) {
+        bf16::multiply(product);
+    }
+    /// c += aᵀ · b for factors in bfloat16.
+    #[inline(always)]
+    fn multiply_outer_bf16(outer: Outer<'_, Bf16>) {
+        bf16::multiply_outer(outer);
+    }
+    /// Rounds values to bfloat16, to the nearest, ties to even. The lengths are equal and multiples of 4.
+    #[inline(always)]
+    fn round_bf16(from: &[f32], to: &mut [Bf16]) {
+        bf16::round(from, to);
+    }
+    /// Rounds two rows to bfloat16, a value of the one and a value of the other in turn. The rows are of one
+    /// length, a multiple of 4, and `to` of twice that.
+    #[inline(always)]
+    fn interleave_bf16(first: &[f32], second: &[f32], to: &mut [Bf16]) {
+        bf16::interleave(first, second, to);
+    }
 }
+
+/// A bfloat16: the upper half of a float32.
+pub(crate) type Bf16 = u16;
 
 /// c += a · b for a few rows: a is [rows, depth], b a panel [depth, width], c [rows, width].
 ///
 /// `rows` is at most [`ROWS`], `width` a multiple of 16 and at most [`PANEL`]. The slices must hold `ROWS`
-/// rows, however many are live: tiles are computed whole.
-pub(crate) struct Product<'a> {
+/// rows, however many are live: tiles are computed whole. In bfloat16 the depth is even, and b is
+/// [depth / 2, width, 2], for the instructions take two products a lane.
+pub(crate) struct Product<'a, T = f32> {
     pub rows: usize,
     pub depth: usize,
     pub width: usize,
-    pub a: &'a [f32],
+    pub a: &'a [T],
     pub a_stride: usize,
-    pub b: &'a [f32],
+    pub b: &'a [T],
     pub c: &'a mut [f32],
     pub c_stride: usize,
 }
 
-impl Product<'_> {
+impl<T> Product<'_, T> {
     /// # Panics
     /// If the slices are too short, so that a kernel can work with pointers after this.
     #[inline(always)]
@@ -183,16 +222,33 @@ impl Product<'_> {
 
 /// c += aᵀ · b: a is [depth, rows], b a panel [depth, width], c [rows, width].
 ///
-/// `rows` is a multiple of 4, `width` a multiple of 16 and at most [`PANEL`].
-pub(crate) struct Outer<'a> {
+/// `rows` is a multiple of 4, `width` a multiple of 16 and at most [`PANEL`]. In bfloat16 the depth counts pairs: a is
+/// [depth, rows, 2] and b [depth, width, 2].
+pub(crate) struct Outer<'a, T = f32> {
     pub rows: usize,
     pub depth: usize,
     pub width: usize,
-    pub a: &'a [f32],
+    pub a: &'a [T],
     pub a_stride: usize,
-    pub b: &'a [f32],
+    pub b: &'a [T],
     pub c: &'a mut [f32],
     pub c_stride: usize,
+}
+
+impl Outer<'_, Bf16> {
+    /// # Panics
+    /// If the slices are too short, so that a kernel can work with pointers after this.
+    #[inline(always)]
+    fn validate_pairs(&self) {
+        let Outer { rows, depth, width, a_stride, c_stride, .. } = *self;
+        assert!(rows.is_multiple_of(4) && width <= PANEL && width.is_multiple_of(16), "a tile's shape");
+        assert!(
+            depth == 0 || self.a.len() >= (depth - 1) * a_stride + 2 * rows,
+            "{depth} pairs of rows of a"
+        );
+        assert!(self.b.len() >= 2 * depth * width, "a whole panel of b");
+        assert!(rows == 0 || self.c.len() >= (rows - 1) * c_stride + width, "{rows} rows of c");
+    }
 }
 
 impl Outer<'_> {

@@ -59,7 +59,7 @@ pub use cpu::{
     Columns, Dense, DenseGradients, Gradients, Workspace, backward, dense, dense_backward, forward,
     forward_into,
 };
-pub use filter::{Filter, Interpolation};
+pub use filter::{Filter, Interpolation, Precision};
 pub use geometry::{Extent, Geometry, PairGradient, PointGradients, PointSets};
 pub use kernel::Kernel;
 pub use mapping::Mapping;

@@ -14,8 +14,8 @@
 mod backward;
 
 use cconv::{
-    Columns, Dense, Extent, Filter, Geometry, Kernel, Options, PairGradient, PointSets, Workspace, dense,
-    forward, forward_into,
+    Columns, Dense, Extent, Filter, Geometry, Kernel, Options, PairGradient, PointSets, Precision, Workspace,
+    dense, forward, forward_into,
 };
 use fluvia_neighbors::{Grids, Neighbors, Point, Radius};
 use rayon::prelude::*;
@@ -145,6 +145,16 @@ impl Network {
             options,
             kernel,
         })
+    }
+
+    /// The same network with its large matrix products in another format.
+    pub fn with_precision(self, precision: Precision) -> Network {
+        Network {
+            obstacle: self.obstacle.with_precision(precision),
+            fluid: self.fluid.with_precision(precision),
+            layers: self.layers.into_iter().map(|layer| layer.with_precision(precision)).collect(),
+            ..self
+        }
     }
 
     /// What the weights were made for.

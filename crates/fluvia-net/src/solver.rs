@@ -1,7 +1,7 @@
 //! The network as a solver: one step is predict (Eq. 10-11), neighbours, network (Eq. 12), correct
 //! (Eq. 13-14).
 
-use cconv::Kernel;
+use cconv::{Kernel, Precision};
 use fluvia_sim::particles::{Acceleration, Boundary, Particles};
 use fluvia_sim::rollout::{Solver, StepInfo};
 
@@ -62,6 +62,11 @@ impl NetSolver {
             step: Step::default(),
             memory: Memory::default(),
         })
+    }
+
+    /// The same solver with the network's large matrix products in another format.
+    pub fn with_precision(self, precision: Precision) -> NetSolver {
+        NetSolver { network: self.network.with_precision(precision), ..self }
     }
 
     /// The network.

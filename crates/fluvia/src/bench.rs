@@ -6,7 +6,7 @@ use std::process::ExitCode;
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
-use cconv::{Kernel, PositionGradient};
+use cconv::{Kernel, PositionGradient, Precision};
 use fluvia_net::config::Config;
 use fluvia_net::integrate::State;
 use fluvia_net::net::{Activations, Memory, Network, Walls};
@@ -18,7 +18,7 @@ use fluvia_sim::metrics::Bounds;
 use fluvia_sim::particles::{Acceleration, Boundary, Particles};
 use serde::Serialize;
 
-use crate::options::{thread_pool, threads};
+use crate::options::{PrecisionName, thread_pool, threads};
 use crate::report::Report;
 
 /// Options of `fluvia bench`.
@@ -43,6 +43,9 @@ pub struct Args {
     /// What to time.
     #[arg(long, value_enum, default_value_t = Stage::Step)]
     stage: Stage,
+    /// The format of the network's large matrix products.
+    #[arg(long, value_enum, default_value_t = PrecisionName::F32)]
+    precision: PrecisionName,
     /// Repeat the state and its walls side by side along x.
     #[arg(long, value_name = "N", default_value = "1")]
     tile: NonZeroUsize,
@@ -85,7 +88,8 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
         let weights = weights::load(&args.weights)?;
         let copies = (args.tile.get(), args.batch.get());
         let (particles, boundary) = load(&args.state, &weights.config, copies)?;
-        let mut bench = Bench::new(weights, &particles, &boundary, args.batch.get())?;
+        let precision = args.precision.into();
+        let mut bench = Bench::new(weights, precision, &particles, &boundary, args.batch.get())?;
         let mut times = Vec::with_capacity(args.steps.get());
         for repetition in 0..=args.steps.get() {
             let start = Instant::now();
@@ -127,6 +131,7 @@ const TRAIN_STEPS: usize = 2;
 /// Copies of a state and what moves them; the memory is reused from repetition to repetition.
 struct Bench {
     weights: Weights,
+    precision: Precision,
     network: Network,
     walls: Walls,
     state: State,
@@ -139,8 +144,14 @@ struct Bench {
 }
 
 impl Bench {
-    fn new(weights: Weights, particles: &Particles, boundary: &Boundary, batch: usize) -> Result<Bench> {
-        let network = Network::new(&weights, Kernel::detect())?;
+    fn new(
+        weights: Weights,
+        precision: Precision,
+        particles: &Particles,
+        boundary: &Boundary,
+        batch: usize,
+    ) -> Result<Bench> {
+        let network = Network::new(&weights, Kernel::detect())?.with_precision(precision);
         let starts = |count: usize| (0..=batch).map(|k| k * count).collect::<Vec<_>>();
         let (wall, normal) = (boundary.position.repeat(batch), boundary.normal.repeat(batch));
         let walls = network.walls(&wall, &normal, &starts(boundary.position.len()));
@@ -156,6 +167,7 @@ impl Bench {
             unroll: Unroll::new(Storage::Keep),
             tensors: weights.tensors().iter().map(|tensor| vec![0.0; tensor.values.len()]).collect(),
             network,
+            precision,
             weights,
         })
     }
@@ -181,7 +193,7 @@ impl Bench {
     /// The weights change from step to step in training, so preparing them counts.
     fn train_step(&mut self) -> Result<()> {
         let gravity = Acceleration::Uniform(self.weights.config.gravity);
-        self.network = Network::new(&self.weights, Kernel::detect())?;
+        self.network = Network::new(&self.weights, Kernel::detect())?.with_precision(self.precision);
         self.tensors.iter_mut().for_each(|tensor| tensor.fill(0.0));
         let Bench { network, walls, state, clouds, extra, unroll, tensors, .. } = self;
         let world = World { extra, acceleration: gravity, clouds };

@@ -1,6 +1,7 @@
 //! Values of options that several subcommands take.
 
 use anyhow::{Context, Result};
+use cconv::Precision;
 
 /// A pool of the given number of threads, by default one per core.
 pub fn thread_pool(threads: Option<usize>) -> Result<rayon::ThreadPool> {
@@ -21,6 +22,34 @@ pub fn threads(text: &str) -> std::result::Result<usize, String> {
 pub fn positive(text: &str) -> std::result::Result<f32, String> {
     let number = text.parse().ok().filter(|x: &f32| x.is_finite() && *x > 0.0);
     number.ok_or_else(|| "expected a positive number".into())
+}
+
+/// The format in which the network's large matrix products are multiplied.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum PrecisionName {
+    /// float32.
+    F32,
+    /// bfloat16, summed in float32: faster with AVX512-BF16, slow without it.
+    Bf16,
+}
+
+impl PrecisionName {
+    /// As it is recorded.
+    pub fn name(self) -> &'static str {
+        match self {
+            PrecisionName::F32 => "f32",
+            PrecisionName::Bf16 => "bf16",
+        }
+    }
+}
+
+impl From<PrecisionName> for Precision {
+    fn from(name: PrecisionName) -> Precision {
+        match name {
+            PrecisionName::F32 => Precision::F32,
+            PrecisionName::Bf16 => Precision::Bf16,
+        }
+    }
 }
 
 #[cfg(test)]

@@ -16,7 +16,7 @@ use fluvia_sim::rollout::{Rollout, Solver, StepReport};
 use fluvia_sim::scene::Setup;
 use indicatif::{ProgressBar, ProgressStyle};
 
-use crate::options::{positive, thread_pool, threads};
+use crate::options::{PrecisionName, positive, thread_pool, threads};
 use crate::record::{self, Record, Source, Summary};
 use crate::report::Report;
 use crate::resume;
@@ -59,6 +59,9 @@ pub struct Args {
     /// The seed of the wall particles.
     #[arg(long, value_name = "S", default_value_t = 0)]
     seed: u64,
+    /// The format of the network's large matrix products.
+    #[arg(long, value_enum, default_value_t = PrecisionName::F32, requires = "weights")]
+    precision: PrecisionName,
     /// The solver's own step, seconds (pbf).
     #[arg(long, value_name = "SECONDS", value_parser = positive, conflicts_with_all = ["weights", "solver_dt_max"])]
     solver_dt: Option<f32>,
@@ -162,7 +165,7 @@ fn choose(args: &Args) -> Result<(Choice, Option<Source>)> {
     };
     let (bytes, source) = record::read_source(path)?;
     let weights = weights::from_bytes(path, bytes)?;
-    Ok((Choice::Network(Box::new(weights)), Some(source)))
+    Ok((Choice::Network(Box::new(weights), args.precision), Some(source)))
 }
 
 fn simulate(args: &Args, report: &Report, prepared: Prepared) -> Result<ExitCode> {

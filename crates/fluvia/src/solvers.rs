@@ -12,12 +12,13 @@ use fluvia_sim::rollout::Solver;
 use fluvia_sim::scene::{Scene, Setup};
 use serde_json::json;
 
+use crate::options::PrecisionName;
 use crate::record::decimal;
 
 /// A solver by its parameters.
 pub enum Choice {
     Pbf(Params),
-    Network(Box<Weights>),
+    Network(Box<Weights>, PrecisionName),
 }
 
 impl Choice {
@@ -29,7 +30,7 @@ impl Choice {
     pub fn adapt(&self, scene: &mut Scene) -> Result<()> {
         match self {
             Choice::Pbf(_) => check_pbf(scene),
-            Choice::Network(weights) => {
+            Choice::Network(weights, _) => {
                 check_network(scene, &weights.config)?;
                 scene.dt = Some(weights.config.dt);
                 scene.particle_radius = Some(weights.config.particle_radius);
@@ -42,9 +43,10 @@ impl Choice {
     pub fn make(&self, setup: &Setup, kernel: Kernel) -> Result<Box<dyn Solver>> {
         Ok(match self {
             Choice::Pbf(params) => Box::new(Pbf::new(*params, &setup.boundary, setup.particle_radius)?),
-            Choice::Network(weights) => {
+            Choice::Network(weights, precision) => {
                 let viscosity: Vec<_> = setup.emitters.iter().map(|e| e.material.viscosity).collect();
-                Box::new(NetSolver::new(weights, &setup.boundary, &viscosity, kernel)?)
+                let solver = NetSolver::new(weights, &setup.boundary, &viscosity, kernel)?;
+                Box::new(solver.with_precision((*precision).into()))
             }
         })
     }
@@ -54,7 +56,7 @@ impl Choice {
         match self {
             // Plain Rust: the compiler's baseline for the target.
             Choice::Pbf(_) => "portable",
-            Choice::Network(_) => kernel.name(),
+            Choice::Network(..) => kernel.name(),
         }
     }
 
@@ -81,12 +83,13 @@ impl Choice {
                     "wall_clearance": decimal(params.wall_clearance),
                 })
             }
-            Choice::Network(weights) => {
+            Choice::Network(weights, precision) => {
                 let config = &weights.config;
                 json!({
                     "integration": config.integration.name(),
                     "filter_radius": decimal(config.filter_radius),
                     "extra_inputs": config.extra_inputs,
+                    "precision": precision.name(),
                 })
             }
         }

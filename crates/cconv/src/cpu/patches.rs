@@ -11,12 +11,13 @@
 
 use rayon::prelude::*;
 
-use super::sums::{FilterSums, PARTIAL_SUMS, PartialSum, SUM_ROWS, chunks, sum_size};
+use super::sums::{Block, FilterSums, PARTIAL_SUMS, PartialSum, SUM_ROWS, chunks, sum_size};
 use super::{Output, Scratch, Workspace, pad, with_scratch};
-use crate::Filter;
+use crate::aligned::AlignedVec;
 use crate::filter::panels;
-use crate::geometry::{Block, LANES, Lists};
+use crate::geometry::{Block as Weights, LANES, Lists};
 use crate::kernel::{InstructionSet, Operation, Product, ROWS};
+use crate::{Filter, Precision};
 
 /// Points of a task: enough to pay for fetching the weights, few enough to balance two threads on
 /// some thousand points.
@@ -95,18 +96,15 @@ impl Operation for TaskWith<'_> {
         let Task { patches: source, first_row, rows, mut output, mut sum } = self.task;
         let filter = source.filter;
         let width = filter.out_channels.next_multiple_of(16);
-        let Scratch { patches, sums, packed } = self.scratch;
+        let Scratch { patches, sums, rounded, packed } = self.scratch;
         let summed_rows = if output.is_some() { rows.next_multiple_of(ROWS) } else { 0 };
         sums.reserve_len(summed_rows * width);
         sums[..summed_rows * width].fill(0.0);
         let block_rows = if sum.is_some() { SUM_BLOCK } else { ROWS };
-        let mut weights: &[f32] = &filter.packed;
         for slab in filter.slabs.iter() {
             let depth = filter.rows() * slab.len();
             let stride = patch_stride(depth);
             patches.reserve_len(block_rows * stride);
-            let (slab_weights, rest) = weights.split_at(depth * width);
-            weights = rest;
             for block in (0..rows).step_by(block_rows) {
                 let live = block_rows.min(rows - block);
                 for (row, patch) in patches.chunks_exact_mut(stride).take(live).enumerate() {
@@ -119,27 +117,67 @@ impl Operation for TaskWith<'_> {
                         _ => fill::<I, 32>(&mut patch[..depth], &source),
                     }
                 }
-                for row in (0..live).step_by(ROWS).take_while(|_| output.is_some()) {
-                    for (first, panel) in panels(filter.out_channels) {
-                        I::multiply(Product {
-                            rows: ROWS.min(live - row),
-                            depth,
-                            width: panel,
-                            a: &patches[row * stride..],
-                            a_stride: stride,
-                            b: &slab_weights[depth * first..],
-                            c: &mut sums[(block + row) * width + first..],
-                            c_stride: width,
-                        });
-                    }
+                if output.is_some() {
+                    let start = filter.rows() * slab.start * width;
+                    let sums = &mut sums[block * width..];
+                    multiply::<I>(filter, start, (patches, stride, depth), live, sums, rounded);
                 }
                 if let Some(sum) = &mut sum {
-                    sum.add::<I>(block..block + live, patches, stride, slab.clone(), filter, packed);
+                    let patches = Block { patches, stride, depth, rows: block..block + live };
+                    sum.add::<I>(patches, slab.start, filter, (&mut *rounded, &mut *packed));
                 }
             }
         }
         if let Some(output) = &mut output {
             output.write(0..rows, sums, width, filter.out_channels, &filter.bias);
+        }
+    }
+}
+
+/// Adds the products of `live` patches with the slab of weights that starts at `start` to `sums`.
+#[inline(always)]
+fn multiply<I: InstructionSet>(
+    filter: &Filter,
+    start: usize,
+    (patches, stride, depth): (&[f32], usize, usize),
+    live: usize,
+    sums: &mut [f32],
+    rounded: &mut AlignedVec,
+) {
+    let width = filter.out_channels.next_multiple_of(16);
+    for first_row in (0..live).step_by(ROWS) {
+        let rows = ROWS.min(live - first_row);
+        let patches = &patches[first_row * stride..];
+        let sums = &mut sums[first_row * width..];
+        if filter.precision == Precision::Bf16 {
+            rounded.reserve_len(ROWS * stride / 2);
+            let halves = rounded.halves_mut().chunks_exact_mut(stride);
+            for (to, from) in halves.zip(patches.chunks(stride)).take(rows) {
+                I::round_bf16(&from[..depth], &mut to[..depth]);
+            }
+        }
+        for (first, panel) in panels(filter.out_channels) {
+            let b = start + depth * first;
+            let (c, c_stride) = (&mut sums[first..], width);
+            match filter.precision {
+                Precision::F32 => {
+                    let (a, b) = (patches, &filter.packed[b..]);
+                    I::multiply(Product { rows, depth, width: panel, a, a_stride: stride, b, c, c_stride });
+                }
+                Precision::Bf16 => {
+                    let (a, b) = (rounded.halves(), &filter.packed.halves()[b..]);
+                    I::multiply_bf16(Product {
+                        rows,
+                        depth,
+                        width: panel,
+                        a,
+                        a_stride: stride,
+                        b,
+                        c,
+                        c_stride,
+                    });
+                }
+            }
         }
     }
 }
@@ -193,7 +231,7 @@ fn fill<I: InstructionSet, const C: usize>(patch: &mut [f32], source: &Source<'_
 fn spread<I: InstructionSet, const C: usize, const CORNERS: usize>(
     patch: &mut [f32],
     f: &[f32],
-    block: &Block,
+    block: &Weights,
     lane: usize,
     steps: &[usize; 8],
 ) {

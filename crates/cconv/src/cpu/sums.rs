@@ -8,10 +8,10 @@ use std::ops::Range;
 use rayon::prelude::*;
 
 use super::{Scratch, Workspace, with_scratch};
-use crate::Filter;
 use crate::aligned::AlignedVec;
 use crate::filter::panels;
-use crate::kernel::{InstructionSet, Kernel, Operation, Outer, ROWS};
+use crate::kernel::{InstructionSet, Kernel, Operation, Outer, PANEL, ROWS};
+use crate::{Filter, Precision};
 
 /// Points over which one partial sum is taken. Part of the result's bits.
 pub const SUM_ROWS: usize = 32 * ROWS;
@@ -187,26 +187,74 @@ pub struct PartialSum<'a> {
     values: &'a mut [f32],
 }
 
+/// Patches of consecutive points of a task, of one slab.
+pub struct Block<'a> {
+    pub patches: &'a mut [f32],
+    pub stride: usize,
+    pub depth: usize,
+    /// The points, counted from the task's first.
+    pub rows: Range<usize>,
+}
+
 impl PartialSum<'_> {
-    /// Adds the products of some points of the task: their patches of the slab that starts with `channel`, and
-    /// their rows of the other side.
+    /// Adds the products of patches of the slab that starts with `channel` and their rows of the other side.
     #[inline(always)]
     pub fn add<I: InstructionSet>(
         &mut self,
-        rows: Range<usize>,
-        patches: &[f32],
-        stride: usize,
-        slab: Range<usize>,
+        block: Block<'_>,
+        channel: usize,
         filter: &Filter,
-        packed: &mut AlignedVec,
+        memory: (&mut AlignedVec, &mut AlignedVec),
     ) {
+        let Block { patches, stride, depth, rows } = block;
         let padded = self.channels.next_multiple_of(16);
-        let size = filter.rows() * slab.len();
-        let values = &mut self.values[filter.rows() * slab.start * padded..][..size * padded];
+        let values = &mut self.values[filter.rows() * channel * padded..][..depth * padded];
         if rows.start == 0 {
             values.fill(0.0);
         }
         let other = &self.other[rows.start * self.channels..rows.end * self.channels];
-        multiply_outer::<I>((patches, stride, size), (other, self.channels), values, packed);
+        match filter.precision {
+            Precision::F32 => {
+                multiply_outer::<I>((patches, stride, depth), (other, self.channels), values, memory.1);
+            }
+            Precision::Bf16 => {
+                if !rows.len().is_multiple_of(2) {
+                    // The last point has no other to make a pair with.
+                    patches[rows.len() * stride..][..depth].fill(0.0);
+                }
+                multiply_outer_bf16::<I>((patches, stride, depth), (other, self.channels), values, memory);
+            }
+        }
+    }
+}
+
+/// As [`multiply_outer`], with both sides rounded, two points together.
+#[inline(always)]
+fn multiply_outer_bf16<I: InstructionSet>(
+    (a, a_stride, rows): (&[f32], usize, usize),
+    (b, columns): (&[f32], usize),
+    sums: &mut [f32],
+    (a_paired, b_paired): (&mut AlignedVec, &mut AlignedVec),
+) {
+    let (depth, padded) = ((b.len() / columns).div_ceil(2), columns.next_multiple_of(16));
+    // A line more, so that rows do not all fall into the same lines of the cache.
+    let stride = 2 * rows + 32;
+    a_paired.reserve_len(depth * stride / 2);
+    for (to, from) in a_paired.halves_mut().chunks_exact_mut(stride).zip(a.chunks(2 * a_stride)).take(depth) {
+        I::interleave_bf16(&from[..rows], &from[a_stride..a_stride + rows], &mut to[..2 * rows]);
+    }
+    b_paired.reserve_len(depth * padded);
+    for (first, width) in panels(columns) {
+        let live = width.min(columns - first);
+        let mut both = [[0.0; PANEL]; 2];
+        for (to, rows) in b_paired.halves_mut().chunks_exact_mut(2 * width).zip(b.chunks(2 * columns)) {
+            both[1].fill(0.0);
+            for (both, row) in both.iter_mut().zip(rows.chunks_exact(columns)) {
+                both[..live].copy_from_slice(&row[first..first + live]);
+            }
+            I::interleave_bf16(&both[0][..width], &both[1][..width], to);
+        }
+        let (a, b, c) = (a_paired.halves(), b_paired.halves(), &mut sums[first..]);
+        I::multiply_outer_bf16(Outer { rows, depth, width, a, a_stride: stride, b, c, c_stride: padded });
     }
 }

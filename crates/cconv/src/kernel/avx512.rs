@@ -2,13 +2,14 @@
 
 use std::arch::x86_64::*;
 
-use super::{InstructionSet, Operation, Outer, Product, instructions};
+use super::{Bf16, InstructionSet, Operation, Outer, Product, avx512_bf16, bf16, instructions};
 
 /// How many rows of weights ahead are asked for: a panel streams from the second-level cache, and its own
 /// prefetcher is a little late. Measured between 6 and 40, with no difference.
 const PREFETCH_ROWS: usize = 12;
 
-pub struct Avx512;
+/// With `BF16` the matrix products in bfloat16 have instructions too.
+pub struct Avx512<const BF16: bool>;
 
 /// Whether this processor has what [`run`] needs.
 pub fn available() -> bool {
@@ -19,14 +20,26 @@ pub fn available() -> bool {
         && is_x86_feature_detected!("fma")
 }
 
+/// Whether this processor has what [`run_bf16`] needs beside that.
+pub fn bf16_available() -> bool {
+    is_x86_feature_detected!("avx512bf16")
+}
+
 /// # Safety
 /// [`available`] must hold.
 #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,fma")]
 pub unsafe fn run(operation: impl Operation) {
-    operation.run::<Avx512>();
+    operation.run::<Avx512<false>>();
 }
 
-impl InstructionSet for Avx512 {
+/// # Safety
+/// [`available`] and [`bf16_available`] must hold.
+#[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,avx512bf16,fma")]
+pub unsafe fn run_bf16(operation: impl Operation) {
+    operation.run::<Avx512<true>>();
+}
+
+impl<const BF16: bool> InstructionSet for Avx512<BF16> {
     type Vector = __m512;
     type Mask = __mmask16;
     type Quad = __m128;
@@ -82,8 +95,7 @@ impl InstructionSet for Avx512 {
     #[inline(always)]
     fn multiply_outer(outer: Outer<'_>) {
         outer.validate();
-        // SAFETY: this set is only used inside `run`, so the processor has the instructions, and the
-        // lengths were validated.
+        // SAFETY: as above.
         unsafe {
             match outer.width {
                 64 => outer_tiles::<4>(outer),
@@ -91,6 +103,46 @@ impl InstructionSet for Avx512 {
                 32 => outer_tiles::<2>(outer),
                 _ => outer_tiles::<1>(outer),
             }
+        }
+    }
+
+    #[inline(always)]
+    fn multiply_bf16(product: Product<'_, Bf16>) {
+        if BF16 {
+            // SAFETY: this set is only used inside `run_bf16`, so the processor has the instructions.
+            unsafe { avx512_bf16::multiply(product) }
+        } else {
+            bf16::multiply(product);
+        }
+    }
+
+    #[inline(always)]
+    fn multiply_outer_bf16(outer: Outer<'_, Bf16>) {
+        if BF16 {
+            // SAFETY: as above.
+            unsafe { avx512_bf16::multiply_outer(outer) }
+        } else {
+            bf16::multiply_outer(outer);
+        }
+    }
+
+    #[inline(always)]
+    fn round_bf16(from: &[f32], to: &mut [Bf16]) {
+        if BF16 {
+            // SAFETY: as above.
+            unsafe { avx512_bf16::round(from, to) }
+        } else {
+            bf16::round(from, to);
+        }
+    }
+
+    #[inline(always)]
+    fn interleave_bf16(first: &[f32], second: &[f32], to: &mut [Bf16]) {
+        if BF16 {
+            // SAFETY: as above.
+            unsafe { avx512_bf16::interleave(first, second, to) }
+        } else {
+            bf16::interleave(first, second, to);
         }
     }
 }
