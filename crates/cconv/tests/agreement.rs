@@ -3,12 +3,9 @@
 mod common;
 
 use cconv::reference::widen;
-use cconv::{
-    Columns, Dense, Extent, Filter, Geometry, Gradients, Interpolation, Kernel, Options, PairGradient,
-    PointGradients, PointSets, Workspace,
-};
-use common::{EXTENTS, ExtentKind, Numbers, Parts, Problem, all_options, largest};
-use fluvia_neighbors::{Options as SearchOptions, Point, Radius, brute_force};
+use cconv::{Columns, Dense, Extent, Filter, Geometry, Interpolation, Kernel, Options, PointSets, Workspace};
+use common::{EXTENTS, ExtentKind, Numbers, Parts, Problem, all_gradients, all_options, largest};
+use fluvia_neighbors::{Options as SearchOptions, Radius, brute_force};
 
 /// Runs every kernel forward and backward and compares with the reference, relative to the largest magnitude: float32
 /// rounding of sums of up to some thousand terms.
@@ -30,7 +27,7 @@ fn check(problem: &Problem, workspace: &mut Workspace) {
         cconv::forward(&geometry, &filter, &problem.features, &mut output, workspace);
         close("output", &output, &expected);
 
-        let gradients = all_gradients(problem, &mut geometry, workspace);
+        let gradients = all_gradients(problem, &filter, &mut geometry, workspace);
         close("filter", &gradients.filter, &expected_gradients.filter);
         close("bias", &gradients.bias, &expected_gradients.bias);
         close("pointwise", &gradients.pointwise, &expected_gradients.pointwise);
@@ -42,53 +39,6 @@ fn check(problem: &Problem, workspace: &mut Workspace) {
         let positions = gradients.output_positions.as_flattened();
         close("output positions", positions, expected_gradients.output_positions.as_flattened());
     }
-}
-
-/// Every gradient in float32.
-#[derive(Clone, Debug, Default, PartialEq)]
-struct AllGradients {
-    filter: Vec<f32>,
-    bias: Vec<f32>,
-    pointwise: Vec<f32>,
-    features: Vec<f32>,
-    importance: Vec<f32>,
-    window_values: Vec<f32>,
-    input_positions: Vec<Point>,
-    output_positions: Vec<Point>,
-}
-
-fn all_gradients(problem: &Problem, geometry: &mut Geometry, workspace: &mut Workspace) -> AllGradients {
-    let filter = problem.filter();
-    let mut gradients = AllGradients {
-        filter: vec![0.0; problem.filter.len()],
-        bias: vec![0.0; problem.channels.1],
-        pointwise: vec![0.0; problem.pointwise.as_ref().map_or(0, Vec::len)],
-        features: vec![0.0; problem.features.len()],
-        importance: vec![0.0; problem.inputs.len()],
-        window_values: vec![0.0; problem.neighbors.indices.len()],
-        input_positions: vec![[0.0; 3]; problem.inputs.len()],
-        output_positions: vec![[0.0; 3]; problem.outputs.len()],
-    };
-    geometry.prepare_backward();
-    let mut pairs = PairGradient::default();
-    pairs.reset(geometry);
-    let wanted = Gradients {
-        filter: Some(&mut gradients.filter),
-        bias: Some(&mut gradients.bias),
-        pointwise: problem.pointwise.is_some().then_some(gradients.pointwise.as_mut_slice()),
-        features: Some(&mut gradients.features),
-        pairs: Some(&mut pairs),
-    };
-    let Problem { features, output_gradient, .. } = problem;
-    cconv::backward(geometry, &filter, features, output_gradient, wanted, workspace);
-    let wanted = PointGradients {
-        importance: Some(&mut gradients.importance),
-        window_values: Some(&mut gradients.window_values),
-        input_positions: Some(&mut gradients.input_positions),
-        output_positions: Some(&mut gradients.output_positions),
-    };
-    geometry.backward(&problem.options, &problem.sets(), &pairs, wanted);
-    gradients
 }
 
 /// Whether a small change of the position moves the interpolation by a whole cell, so that float32 and

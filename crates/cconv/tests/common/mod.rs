@@ -3,7 +3,10 @@
 #![allow(dead_code, reason = "each test file takes what it needs")]
 
 use cconv::reference::{self, widen};
-use cconv::{Extent, Filter, Interpolation, Mapping, Options, PointSets, Window};
+use cconv::{
+    Extent, Filter, Geometry, Gradients, Interpolation, Mapping, Options, PairGradient, PointGradients,
+    PointSets, Window, Workspace,
+};
 use fluvia_neighbors::{Neighbors, Options as SearchOptions, Point, Radius, brute_force};
 
 /// A small deterministic generator (SplitMix64), so that cases are the same everywhere.
@@ -37,6 +40,7 @@ impl Numbers {
 }
 
 /// One random problem with everything that the operator can be given.
+#[derive(Clone)]
 pub struct Problem {
     pub options: Options,
     pub inputs: Vec<Point>,
@@ -111,6 +115,27 @@ impl Problem {
             outputs,
             neighbors,
         }
+    }
+
+    /// Problems as one, point after point. The weights are those of the first.
+    pub fn joined(problems: &[Problem]) -> Problem {
+        let mut joined = problems[0].clone();
+        for problem in &problems[1..] {
+            let (first_input, first_pair) = (joined.inputs.len() as u32, joined.neighbors.indices.len());
+            joined.inputs.extend_from_slice(&problem.inputs);
+            joined.outputs.extend_from_slice(&problem.outputs);
+            joined.scalars.extend_from_slice(&problem.scalars);
+            joined.vectors.extend_from_slice(&problem.vectors);
+            joined.features.extend_from_slice(&problem.features);
+            joined.output_gradient.extend_from_slice(&problem.output_gradient);
+            if let (Some(all), Some(own)) = (&mut joined.importance, &problem.importance) {
+                all.extend_from_slice(own);
+            }
+            let Neighbors { indices, row_splits, .. } = &problem.neighbors;
+            joined.neighbors.indices.extend(indices.iter().map(|i| first_input + i));
+            joined.neighbors.row_splits.extend(row_splits[1..].iter().map(|end| first_pair + end));
+        }
+        joined
     }
 
     /// Finds the neighbours again, without coincident points if so asked.
@@ -221,4 +246,74 @@ pub fn all_options() -> Vec<Options> {
 /// The largest magnitude; NaN counts as the largest.
 pub fn largest(values: impl IntoIterator<Item = f64>) -> f64 {
     values.into_iter().fold(0.0, |a, x| if x.abs() > a || x.is_nan() { x.abs() } else { a })
+}
+
+/// Every gradient in float32.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct AllGradients {
+    pub filter: Vec<f32>,
+    pub bias: Vec<f32>,
+    pub pointwise: Vec<f32>,
+    pub features: Vec<f32>,
+    pub importance: Vec<f32>,
+    pub window_values: Vec<f32>,
+    pub input_positions: Vec<Point>,
+    pub output_positions: Vec<Point>,
+}
+
+pub fn all_gradients(
+    problem: &Problem,
+    filter: &Filter,
+    geometry: &mut Geometry,
+    workspace: &mut Workspace,
+) -> AllGradients {
+    add_gradients(AllGradients::default(), problem, filter, geometry, workspace)
+}
+
+/// Adds the gradients of one more cloud: those by weights to the ones there are, those by points after them.
+pub fn add_gradients(
+    before: AllGradients,
+    problem: &Problem,
+    filter: &Filter,
+    geometry: &mut Geometry,
+    workspace: &mut Workspace,
+) -> AllGradients {
+    let or_zeros = |values: Vec<f32>, len: usize| if values.is_empty() { vec![0.0; len] } else { values };
+    let mut gradients = AllGradients {
+        filter: or_zeros(before.filter, problem.filter.len()),
+        bias: or_zeros(before.bias, problem.channels.1),
+        pointwise: or_zeros(before.pointwise, problem.pointwise.as_ref().map_or(0, Vec::len)),
+        features: vec![0.0; problem.features.len()],
+        importance: vec![0.0; problem.inputs.len()],
+        window_values: vec![0.0; problem.neighbors.indices.len()],
+        input_positions: vec![[0.0; 3]; problem.inputs.len()],
+        output_positions: vec![[0.0; 3]; problem.outputs.len()],
+    };
+    geometry.prepare_backward();
+    let mut pairs = PairGradient::default();
+    pairs.reset(geometry);
+    let wanted = Gradients {
+        filter: Some(&mut gradients.filter),
+        bias: Some(&mut gradients.bias),
+        pointwise: problem.pointwise.is_some().then_some(gradients.pointwise.as_mut_slice()),
+        features: Some(&mut gradients.features),
+        pairs: Some(&mut pairs),
+    };
+    let Problem { features, output_gradient, .. } = problem;
+    cconv::backward(geometry, filter, features, output_gradient, wanted, workspace);
+    let wanted = PointGradients {
+        importance: Some(&mut gradients.importance),
+        window_values: Some(&mut gradients.window_values),
+        input_positions: Some(&mut gradients.input_positions),
+        output_positions: Some(&mut gradients.output_positions),
+    };
+    geometry.backward(&problem.options, &problem.sets(), &pairs, wanted);
+    AllGradients {
+        features: [before.features, gradients.features].concat(),
+        importance: [before.importance, gradients.importance].concat(),
+        window_values: [before.window_values, gradients.window_values].concat(),
+        input_positions: [before.input_positions, gradients.input_positions].concat(),
+        output_positions: [before.output_positions, gradients.output_positions].concat(),
+        ..gradients
+    }
 }
