@@ -46,6 +46,11 @@
 //! assert!((output[0] - 0.6 - 0.1 * 2.0 * 0.75f32.powi(3) - 0.1 * 3.0 * 0.36f32.powi(3)).abs() < 1e-6);
 //! ```
 
+/// The examples of the operator's page.
+#[cfg(doctest)]
+#[doc = include_str!("../../../docs/operator.md")]
+struct OperatorPage;
+
 mod aligned;
 mod cpu;
 mod filter;

@@ -5,7 +5,7 @@ mod common;
 use cconv::reference::widen;
 use cconv::{Columns, Dense, Extent, Filter, Geometry, Interpolation, Kernel, Options, PointSets, Workspace};
 use common::{EXTENTS, ExtentKind, Numbers, Parts, Problem, all_gradients, all_options, largest};
-use fluvia_neighbors::{Options as SearchOptions, Radius, brute_force};
+use fluvia_neighbors::{Options as SearchOptions, Point, Radius, brute_force};
 
 /// Runs every kernel forward and backward and compares with the reference, relative to the largest magnitude: float32
 /// rounding of sums of up to some thousand terms.
@@ -114,6 +114,31 @@ fn coincident_points_agree_with_the_reference() {
         let outputs = inputs[..5].to_vec();
         let parts = Parts { importance: true, bias: false, ..BIAS_ALONE };
         check(&Problem::new(&mut numbers, options, inputs, outputs, (4, 6), parts), &mut workspace);
+    }
+}
+
+/// Multiples of 1/4 around the origin lie on every kink there is: on the seams of the mappings, on the axis, on the
+/// centres of filter cells, at the border of the window. All of it is exact in float32, so both sides must
+/// take the same derivative.
+#[test]
+fn points_on_kinks_agree_with_the_reference() {
+    let (mut numbers, mut workspace) = (Numbers(7), Workspace::default());
+    let steps = || (-4..=4).map(|k| k as f32 / 4.0);
+    let inputs: Vec<Point> =
+        steps().flat_map(|x| steps().flat_map(move |y| steps().map(move |z| [x, y, z]))).collect();
+    for mut options in all_options().into_iter().filter(|options| !jumps(options)) {
+        options.filter_size = [3, 5, 3];
+        options.offset = [0.0; 3];
+        // The ball alone: Λ is a map of it.
+        let inside = inputs.iter().filter(|p| p.iter().map(|x| x * x).sum::<f32>() <= 1.0);
+        let inputs: Vec<Point> = inside.copied().collect();
+        let parts = Parts { bias: false, ..BIAS_ALONE };
+        let mut problem = Problem::new(&mut numbers, options, inputs, vec![[0.0; 3]], (3, 2), parts);
+        problem.neighbors =
+            brute_force(&problem.inputs, &problem.outputs, Radius::Uniform(1.0), &SearchOptions::default());
+        problem.extent = ExtentKind::PerPoint;
+        problem.scalars = vec![2.0];
+        check(&problem, &mut workspace);
     }
 }
 
