@@ -88,8 +88,7 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
         let weights = weights::load(&args.weights)?;
         let copies = (args.tile.get(), args.batch.get());
         let (particles, boundary) = load(&args.state, &weights.config, copies)?;
-        let precision = args.precision.into();
-        let mut bench = Bench::new(weights, precision, &particles, &boundary, args.batch.get())?;
+        let mut bench = Bench::new(weights, args, &particles, &boundary)?;
         let mut times = Vec::with_capacity(args.steps.get());
         for repetition in 0..=args.steps.get() {
             let start = Instant::now();
@@ -128,40 +127,54 @@ const MAX_PARTICLES: usize = 50_000_000;
 /// Steps of the training stage.
 const TRAIN_STEPS: usize = 2;
 
+/// Particles whose activations the training stage keeps at once: the copies of a batch are taken some together, and
+/// their gradients added.
+const TRAIN_PARTICLES: usize = 16_384;
+
 /// Copies of a state and what moves them; the memory is reused from repetition to repetition.
 struct Bench {
     weights: Weights,
     precision: Precision,
     network: Network,
-    walls: Walls,
-    state: State,
-    clouds: Vec<usize>,
-    extra: Vec<f32>,
+    calls: Vec<Call>,
     step: Step,
     memory: Memory,
     unroll: Unroll,
     tensors: Vec<Vec<f32>>,
 }
 
+/// The copies that one call takes.
+struct Call {
+    walls: Walls,
+    state: State,
+    clouds: Vec<usize>,
+    extra: Vec<f32>,
+}
+
 impl Bench {
-    fn new(
-        weights: Weights,
-        precision: Precision,
-        particles: &Particles,
-        boundary: &Boundary,
-        batch: usize,
-    ) -> Result<Bench> {
+    fn new(weights: Weights, args: &Args, particles: &Particles, boundary: &Boundary) -> Result<Bench> {
+        let precision = args.precision.into();
         let network = Network::new(&weights, Kernel::detect())?.with_precision(precision);
-        let starts = |count: usize| (0..=batch).map(|k| k * count).collect::<Vec<_>>();
-        let (wall, normal) = (boundary.position.repeat(batch), boundary.normal.repeat(batch));
-        let walls = network.walls(&wall, &normal, &starts(boundary.position.len()));
-        let (position, velocity) = (particles.position.repeat(batch), particles.velocity.repeat(batch));
-        let extras = weights.config.extra_inputs.len();
+        let batch = args.batch.get();
+        let together = match args.stage {
+            Stage::TrainStep => (TRAIN_PARTICLES / particles.len().max(1)).clamp(1, batch),
+            Stage::Step | Stage::Neighbors => batch,
+        };
+        let call = |first: usize| {
+            let copies = together.min(batch - first);
+            let starts = |count: usize| (0..=copies).map(|k| k * count).collect::<Vec<_>>();
+            let (wall, normal) = (boundary.position.repeat(copies), boundary.normal.repeat(copies));
+            let (position, velocity) = (particles.position.repeat(copies), particles.velocity.repeat(copies));
+            let extras = weights.config.extra_inputs.len();
+            Call {
+                walls: network.walls(&wall, &normal, &starts(boundary.position.len())),
+                clouds: starts(particles.len()),
+                extra: vec![weights.config.viscosity; position.len() * extras],
+                state: State { position, velocity },
+            }
+        };
         Ok(Bench {
-            walls,
-            clouds: starts(particles.len()),
-            extra: vec![weights.config.viscosity; position.len() * extras],
-            state: State { position, velocity },
+            calls: (0..batch).step_by(together).map(call).collect(),
             step: Step::default(),
             memory: Memory::default(),
             unroll: Unroll::new(Storage::Keep),
@@ -174,34 +187,33 @@ impl Bench {
 
     /// One repetition, always from the same state.
     fn run(&mut self, stage: Stage) -> Result<()> {
-        let gravity = Acceleration::Uniform(self.weights.config.gravity);
-        let world = World { extra: &self.extra, acceleration: gravity, clouds: &self.clouds };
-        let Bench { network, walls, state, step, memory, .. } = self;
-        let before = (state.position.as_slice(), state.velocity.as_slice());
-        match stage {
-            Stage::Step => {
-                let State { mut position, mut velocity } = state.clone();
-                step.forward(network, before, world, walls, Activations::Drop, memory);
-                step.correct(network, &mut position, &mut velocity);
-            }
-            Stage::Neighbors => step.search(network, before, world, walls, memory),
-            Stage::TrainStep => self.train_step()?,
+        let acceleration = Acceleration::Uniform(self.weights.config.gravity);
+        if let Stage::TrainStep = stage {
+            // The weights change from step to step in training, so preparing them counts.
+            self.network = Network::new(&self.weights, Kernel::detect())?.with_precision(self.precision);
+            self.tensors.iter_mut().for_each(|tensor| tensor.fill(0.0));
         }
-        Ok(())
-    }
-
-    /// The weights change from step to step in training, so preparing them counts.
-    fn train_step(&mut self) -> Result<()> {
-        let gravity = Acceleration::Uniform(self.weights.config.gravity);
-        self.network = Network::new(&self.weights, Kernel::detect())?.with_precision(self.precision);
-        self.tensors.iter_mut().for_each(|tensor| tensor.fill(0.0));
-        let Bench { network, walls, state, clouds, extra, unroll, tensors, .. } = self;
-        let world = World { extra, acceleration: gravity, clouds };
-        unroll.forward(network, state, world, walls, TRAIN_STEPS);
-        let by_states: Vec<State> =
-            unroll.states().iter().map(|moved| distance_gradient(&moved.position, state, clouds)).collect();
-        let wanted = StepGradients { tensors: Some(tensors), ..StepGradients::default() };
-        unroll.backward(network, &by_states, world, walls, PositionGradient::Stop, wanted);
+        let Bench { network, calls, step, memory, unroll, tensors, .. } = self;
+        for Call { walls, state, clouds, extra } in calls {
+            let world = World { extra, acceleration, clouds };
+            let before = (state.position.as_slice(), state.velocity.as_slice());
+            match stage {
+                Stage::Step => {
+                    let State { mut position, mut velocity } = state.clone();
+                    step.forward(network, before, world, walls, Activations::Drop, memory);
+                    step.correct(network, &mut position, &mut velocity);
+                }
+                Stage::Neighbors => step.search(network, before, world, walls, memory),
+                Stage::TrainStep => {
+                    unroll.forward(network, state, world, walls, TRAIN_STEPS);
+                    let moved = unroll.states().iter();
+                    let by_states: Vec<State> =
+                        moved.map(|moved| distance_gradient(&moved.position, state, clouds)).collect();
+                    let wanted = StepGradients { tensors: Some(tensors), ..StepGradients::default() };
+                    unroll.backward(network, &by_states, world, walls, PositionGradient::Stop, wanted);
+                }
+            }
+        }
         Ok(())
     }
 }
