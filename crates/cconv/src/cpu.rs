@@ -38,9 +38,10 @@ pub struct Workspace {
 #[derive(Debug, Default)]
 struct Scratch {
     patches: AlignedVec,
-    sums: AlignedVec,
-    /// Patches in bfloat16.
+    /// Patches in bfloat16: point after point, and two points together.
     rounded: AlignedVec,
+    paired: AlignedVec,
+    sums: AlignedVec,
     /// Rows of one factor as the matrix product reads them.
     packed: AlignedVec,
 }

@@ -9,11 +9,12 @@
 //! each slab it fills the patches of a few points and multiplies them while they are hot, so that the
 //! weights of the slab are fetched once a task.
 
+use std::ops::Range;
+
 use rayon::prelude::*;
 
 use super::sums::{Block, FilterSums, PARTIAL_SUMS, PartialSum, SUM_ROWS, chunks, sum_size};
 use super::{Output, Scratch, Workspace, pad, with_scratch};
-use crate::aligned::AlignedVec;
 use crate::filter::panels;
 use crate::geometry::{Block as Weights, LANES, Lists};
 use crate::kernel::{InstructionSet, Operation, Product, ROWS};
@@ -96,7 +97,7 @@ impl Operation for TaskWith<'_> {
         let Task { patches: source, first_row, rows, mut output, mut sum } = self.task;
         let filter = source.filter;
         let width = filter.out_channels.next_multiple_of(16);
-        let Scratch { patches, sums, rounded, packed } = self.scratch;
+        let Scratch { patches, rounded, paired, sums, packed } = self.scratch;
         let summed_rows = if output.is_some() { rows.next_multiple_of(ROWS) } else { 0 };
         sums.reserve_len(summed_rows * width);
         sums[..summed_rows * width].fill(0.0);
@@ -104,27 +105,56 @@ impl Operation for TaskWith<'_> {
         for slab in filter.slabs.iter() {
             let depth = filter.rows() * slab.len();
             let stride = patch_stride(depth);
-            patches.reserve_len(block_rows * stride);
+            let weights = filter.rows() * slab.start * width;
             for block in (0..rows).step_by(block_rows) {
-                let live = block_rows.min(rows - block);
-                for (row, patch) in patches.chunks_exact_mut(stride).take(live).enumerate() {
-                    let source =
-                        Source { patches: source, row: first_row + block + row, channel: slab.start };
-                    match slab.len() {
-                        4 => fill::<I, 4>(&mut patch[..depth], &source),
-                        8 => fill::<I, 8>(&mut patch[..depth], &source),
-                        16 => fill::<I, 16>(&mut patch[..depth], &source),
-                        _ => fill::<I, 32>(&mut patch[..depth], &source),
+                let live = block..rows.min(block + block_rows);
+                let source = |row: usize| Source { patches: source, row: first_row + row, slab: &slab };
+                match filter.precision {
+                    Precision::F32 => {
+                        patches.reserve_len(block_rows * stride);
+                        for (row, patch) in live.clone().zip(patches.chunks_exact_mut(stride)) {
+                            fill_slab::<I>(&mut patch[..depth], &source(row));
+                        }
+                    }
+                    Precision::Bf16 => {
+                        // Two at a time, so that they are rounded while they are in the first-level cache.
+                        patches.reserve_len(2 * stride);
+                        rounded.reserve_len(block_rows * stride / 2);
+                        paired.reserve_len(block_rows * stride / 2);
+                        let rounded = rounded.halves_mut().chunks_exact_mut(2 * stride);
+                        let paired = paired.halves_mut().chunks_exact_mut(2 * stride);
+                        for ((row, rounded), paired) in live.clone().step_by(2).zip(rounded).zip(paired) {
+                            let (first, second) = patches.split_at_mut(stride);
+                            let (first, second) = (&mut first[..depth], &mut second[..depth]);
+                            fill_slab::<I>(first, &source(row));
+                            if row + 1 < live.end {
+                                fill_slab::<I>(second, &source(row + 1));
+                            } else {
+                                // The last point has no other to make a pair with.
+                                second.fill(0.0);
+                            }
+                            if output.is_some() {
+                                I::round_bf16(first, &mut rounded[..depth]);
+                                I::round_bf16(second, &mut rounded[stride..stride + depth]);
+                            }
+                            if sum.is_some() {
+                                I::interleave_bf16(first, second, &mut paired[..2 * depth]);
+                            }
+                        }
                     }
                 }
+                let block = Block {
+                    exact: patches,
+                    rounded: rounded.halves(),
+                    paired: paired.halves(),
+                    stride,
+                    depth,
+                };
                 if output.is_some() {
-                    let start = filter.rows() * slab.start * width;
-                    let sums = &mut sums[block * width..];
-                    multiply::<I>(filter, start, (patches, stride, depth), live, sums, rounded);
+                    multiply::<I>(filter, weights, block, live.len(), &mut sums[live.start * width..]);
                 }
                 if let Some(sum) = &mut sum {
-                    let patches = Block { patches, stride, depth, rows: block..block + live };
-                    sum.add::<I>(patches, slab.start, filter, (&mut *rounded, &mut *packed));
+                    sum.add::<I>(block, live, slab.start, filter, packed);
                 }
             }
         }
@@ -139,43 +169,24 @@ impl Operation for TaskWith<'_> {
 fn multiply<I: InstructionSet>(
     filter: &Filter,
     start: usize,
-    (patches, stride, depth): (&[f32], usize, usize),
+    block: Block<'_>,
     live: usize,
     sums: &mut [f32],
-    rounded: &mut AlignedVec,
 ) {
-    let width = filter.out_channels.next_multiple_of(16);
+    let Block { exact, rounded, stride, depth, .. } = block;
+    let c_stride = filter.out_channels.next_multiple_of(16);
     for first_row in (0..live).step_by(ROWS) {
         let rows = ROWS.min(live - first_row);
-        let patches = &patches[first_row * stride..];
-        let sums = &mut sums[first_row * width..];
-        if filter.precision == Precision::Bf16 {
-            rounded.reserve_len(ROWS * stride / 2);
-            let halves = rounded.halves_mut().chunks_exact_mut(stride);
-            for (to, from) in halves.zip(patches.chunks(stride)).take(rows) {
-                I::round_bf16(&from[..depth], &mut to[..depth]);
-            }
-        }
-        for (first, panel) in panels(filter.out_channels) {
-            let b = start + depth * first;
-            let (c, c_stride) = (&mut sums[first..], width);
+        for (first, width) in panels(filter.out_channels) {
+            let (b, c) = (start + depth * first, &mut sums[first_row * c_stride + first..]);
             match filter.precision {
                 Precision::F32 => {
-                    let (a, b) = (patches, &filter.packed[b..]);
-                    I::multiply(Product { rows, depth, width: panel, a, a_stride: stride, b, c, c_stride });
+                    let (a, b) = (&exact[first_row * stride..], &filter.packed[b..]);
+                    I::multiply(Product { rows, depth, width, a, a_stride: stride, b, c, c_stride });
                 }
                 Precision::Bf16 => {
-                    let (a, b) = (rounded.halves(), &filter.packed.halves()[b..]);
-                    I::multiply_bf16(Product {
-                        rows,
-                        depth,
-                        width: panel,
-                        a,
-                        a_stride: stride,
-                        b,
-                        c,
-                        c_stride,
-                    });
+                    let (a, b) = (&rounded[first_row * stride..], &filter.packed.halves()[b..]);
+                    I::multiply_bf16(Product { rows, depth, width, a, a_stride: stride, b, c, c_stride });
                 }
             }
         }
@@ -193,14 +204,24 @@ fn patch_stride(depth: usize) -> usize {
 struct Source<'a> {
     patches: Patches<'a>,
     row: usize,
-    channel: usize,
+    slab: &'a Range<usize>,
 }
 
-/// Fills the patch [cells, `C`] of one point.
+/// Fills the patch [cells, slab] of one point.
+#[inline(always)]
+fn fill_slab<I: InstructionSet>(patch: &mut [f32], source: &Source<'_>) {
+    match source.slab.len() {
+        4 => fill::<I, 4>(patch, source),
+        8 => fill::<I, 8>(patch, source),
+        16 => fill::<I, 16>(patch, source),
+        _ => fill::<I, 32>(patch, source),
+    }
+}
+
 #[inline(always)]
 fn fill<I: InstructionSet, const C: usize>(patch: &mut [f32], source: &Source<'_>) {
-    let Source { patches: Patches { lists, filter, features }, row, channel } = *source;
-    let stride = filter.slabs.padded();
+    let Source { patches: Patches { lists, filter, features }, row, slab } = source;
+    let (row, channel, stride) = (*row, slab.start, filter.slabs.padded());
     let (patch, pointwise) = patch.split_at_mut(filter.cells * C);
     patch.fill(0.0);
     let indices = &lists.neighbors.indices;

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use super::{Scratch, Workspace, with_scratch};
 use crate::aligned::AlignedVec;
 use crate::filter::panels;
-use crate::kernel::{InstructionSet, Kernel, Operation, Outer, PANEL, ROWS};
+use crate::kernel::{Bf16, InstructionSet, Kernel, Operation, Outer, PANEL, ROWS};
 use crate::{Filter, Precision};
 
 /// Points over which one partial sum is taken. Part of the result's bits.
@@ -187,13 +187,17 @@ pub struct PartialSum<'a> {
     values: &'a mut [f32],
 }
 
-/// Patches of consecutive points of a task, of one slab.
+/// Patches of consecutive points of a task, of one slab: exact, or as the products in bfloat16 need them.
+#[derive(Clone, Copy)]
 pub struct Block<'a> {
-    pub patches: &'a mut [f32],
+    /// [points, `stride`], of which `depth` count.
+    pub exact: &'a [f32],
+    /// [points, `stride`].
+    pub rounded: &'a [Bf16],
+    /// Two points together, [pairs, `stride`, 2].
+    pub paired: &'a [Bf16],
     pub stride: usize,
     pub depth: usize,
-    /// The points, counted from the task's first.
-    pub rows: Range<usize>,
 }
 
 impl PartialSum<'_> {
@@ -202,11 +206,12 @@ impl PartialSum<'_> {
     pub fn add<I: InstructionSet>(
         &mut self,
         block: Block<'_>,
+        rows: Range<usize>,
         channel: usize,
         filter: &Filter,
-        memory: (&mut AlignedVec, &mut AlignedVec),
+        packed: &mut AlignedVec,
     ) {
-        let Block { patches, stride, depth, rows } = block;
+        let Block { exact, paired, stride, depth, .. } = block;
         let padded = self.channels.next_multiple_of(16);
         let values = &mut self.values[filter.rows() * channel * padded..][..depth * padded];
         if rows.start == 0 {
@@ -215,46 +220,36 @@ impl PartialSum<'_> {
         let other = &self.other[rows.start * self.channels..rows.end * self.channels];
         match filter.precision {
             Precision::F32 => {
-                multiply_outer::<I>((patches, stride, depth), (other, self.channels), values, memory.1);
+                multiply_outer::<I>((exact, stride, depth), (other, self.channels), values, packed);
             }
             Precision::Bf16 => {
-                if !rows.len().is_multiple_of(2) {
-                    // The last point has no other to make a pair with.
-                    patches[rows.len() * stride..][..depth].fill(0.0);
-                }
-                multiply_outer_bf16::<I>((patches, stride, depth), (other, self.channels), values, memory);
+                multiply_outer_bf16::<I>((paired, 2 * stride, depth), (other, self.channels), values, packed);
             }
         }
     }
 }
 
-/// As [`multiply_outer`], with both sides rounded, two points together.
+/// As [`multiply_outer`], with two points together: `a` is rounded already.
 #[inline(always)]
 fn multiply_outer_bf16<I: InstructionSet>(
-    (a, a_stride, rows): (&[f32], usize, usize),
+    (a, a_stride, rows): (&[Bf16], usize, usize),
     (b, columns): (&[f32], usize),
     sums: &mut [f32],
-    (a_paired, b_paired): (&mut AlignedVec, &mut AlignedVec),
+    packed: &mut AlignedVec,
 ) {
     let (depth, padded) = ((b.len() / columns).div_ceil(2), columns.next_multiple_of(16));
-    // A line more, so that rows do not all fall into the same lines of the cache.
-    let stride = 2 * rows + 32;
-    a_paired.reserve_len(depth * stride / 2);
-    for (to, from) in a_paired.halves_mut().chunks_exact_mut(stride).zip(a.chunks(2 * a_stride)).take(depth) {
-        I::interleave_bf16(&from[..rows], &from[a_stride..a_stride + rows], &mut to[..2 * rows]);
-    }
-    b_paired.reserve_len(depth * padded);
+    packed.reserve_len(depth * padded);
     for (first, width) in panels(columns) {
         let live = width.min(columns - first);
         let mut both = [[0.0; PANEL]; 2];
-        for (to, rows) in b_paired.halves_mut().chunks_exact_mut(2 * width).zip(b.chunks(2 * columns)) {
+        for (to, rows) in packed.halves_mut().chunks_exact_mut(2 * width).zip(b.chunks(2 * columns)) {
             both[1].fill(0.0);
             for (both, row) in both.iter_mut().zip(rows.chunks_exact(columns)) {
                 both[..live].copy_from_slice(&row[first..first + live]);
             }
             I::interleave_bf16(&both[0][..width], &both[1][..width], to);
         }
-        let (a, b, c) = (a_paired.halves(), b_paired.halves(), &mut sums[first..]);
-        I::multiply_outer_bf16(Outer { rows, depth, width, a, a_stride: stride, b, c, c_stride: padded });
+        let (b, c) = (packed.halves(), &mut sums[first..]);
+        I::multiply_outer_bf16(Outer { rows, depth, width, a, a_stride, b, c, c_stride: padded });
     }
 }
