@@ -150,8 +150,8 @@ pub struct Gradients<'a> {
 /// those by what the output depends on, which are added to `gradients`.
 ///
 /// # Panics
-/// If a length does not fit the geometry and the filter, or if gradients of the features, or of a filter with fewer
-/// outputs than inputs, are asked for without [`Geometry::prepare_backward`].
+/// If a length does not fit the geometry and the filter, or if the gradient of the features is asked for without
+/// [`Geometry::prepare_backward`].
 pub fn backward(
     geometry: &Geometry,
     filter: &Filter,
@@ -185,7 +185,7 @@ pub fn backward(
     // The gradients of the features and of the filter share the patches of the output gradient, unless it is
     // cheaper to interpolate the features.
     let shares = by_features.is_some() && Layout::choose(outputs, inputs) == Layout::Patches;
-    let exchanged = shares || outputs < inputs;
+    let exchanged = shares || outputs < inputs && geometry.is_prepared();
     let feature_patches = Patches { lists: &geometry.lists, filter, features };
     let gradient_patches = || Patches {
         lists: &geometry.transposed().lists,

@@ -3,7 +3,7 @@
 mod common;
 
 use cconv::reference::widen;
-use cconv::{Columns, Dense, Extent, Filter, Geometry, Interpolation, Kernel, Options, PointSets, Workspace};
+use cconv::{Columns, Dense, Geometry, Gradients, Interpolation, Kernel, Options, Precision, Workspace};
 use common::{EXTENTS, ExtentKind, Numbers, Parts, Problem, all_gradients, all_options, largest};
 use fluvia_neighbors::{Options as SearchOptions, Point, Radius, brute_force};
 
@@ -172,25 +172,49 @@ fn a_dense_layer_is_a_matrix_product() {
 fn the_number_of_threads_changes_no_bit() {
     let mut numbers = Numbers(5);
     let points = numbers.points(700);
-    let neighbors = brute_force(&points, &points, Radius::Uniform(0.4), &SearchOptions::default());
-    let options = Options::default();
-    for (channels_in, channels_out) in [(4, 32), (96, 64), (64, 3)] {
-        let filter = numbers.vec(64 * channels_in * channels_out);
-        let features = numbers.vec(points.len() * channels_in);
+    for channels in [(4, 32), (96, 64), (64, 3)] {
+        let parts = Parts { importance: true, pointwise: true, ..BIAS_ALONE };
+        let problem =
+            Problem::new(&mut numbers, Options::default(), points.clone(), points.clone(), channels, parts);
         for kernel in Kernel::available() {
-            let run = |threads| {
-                let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-                pool.install(|| {
-                    let mut geometry = Geometry::default();
-                    let sets = PointSets::new(&points, &points, &neighbors, Extent::Uniform(0.8));
-                    geometry.build(&options, &sets, kernel);
-                    let filter = Filter::new(&options, channels_in, channels_out, &filter);
-                    let mut output = vec![0.0; points.len() * channels_out];
-                    cconv::forward(&geometry, &filter, &features, &mut output, &mut Workspace::default());
-                    output.iter().map(|x| x.to_bits()).collect::<Vec<_>>()
-                })
-            };
-            assert_eq!(run(1), run(2), "{}", kernel.name());
+            for precision in [Precision::F32, Precision::Bf16] {
+                let run = |threads| {
+                    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+                    pool.install(|| {
+                        let (mut geometry, mut workspace) = (Geometry::default(), Workspace::default());
+                        geometry.build(&problem.options, &problem.sets(), kernel);
+                        let filter = problem.filter().with_precision(precision);
+                        let mut output = vec![0.0; points.len() * channels.1];
+                        cconv::forward(&geometry, &filter, &problem.features, &mut output, &mut workspace);
+                        (output, all_gradients(&problem, &filter, &mut geometry, &mut workspace))
+                    })
+                };
+                assert!(run(1) == run(2), "{} {precision:?} {channels:?}", kernel.name());
+            }
+        }
+    }
+}
+
+/// Without the lists by input point the gradient of a filter is summed on the other side.
+#[test]
+fn the_filters_gradient_needs_no_preparation() {
+    let mut numbers = Numbers(8);
+    for channels in [(9, 4), (12, 3), (3, 12)] {
+        let (inputs, outputs) = (numbers.points(40), numbers.points(30));
+        let problem = Problem::new(&mut numbers, Options::default(), inputs, outputs, channels, BIAS_ALONE);
+        let expected = problem.wide().backward(&widen(&problem.output_gradient)).filter;
+        for kernel in Kernel::available() {
+            let mut geometry = Geometry::default();
+            geometry.build(&problem.options, &problem.sets(), kernel);
+            let mut found = vec![0.0; problem.filter.len()];
+            let wanted = Gradients { filter: Some(&mut found), ..Gradients::default() };
+            let Problem { features, output_gradient, .. } = &problem;
+            let workspace = &mut Workspace::default();
+            cconv::backward(&geometry, &problem.filter(), features, output_gradient, wanted, workspace);
+            let scale = largest(expected.iter().copied());
+            let error = largest(found.iter().zip(&expected).map(|(a, b)| f64::from(*a) - b)) / scale;
+            // Float32 sums of some hundred terms.
+            assert!(error < 1e-5, "{} {channels:?}: off by {error:.1e}", kernel.name());
         }
     }
 }

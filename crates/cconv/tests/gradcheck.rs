@@ -1,6 +1,8 @@
 //! Every gradient of the float64 reference against central differences, over all combinations of mapping,
 //! interpolation, window, kind of extent, normalisation and importance.
 
+#![allow(clippy::unwrap_used, reason = "a test that fails says where")]
+
 mod common;
 
 use cconv::reference::widen;

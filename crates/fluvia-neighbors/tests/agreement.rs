@@ -132,8 +132,9 @@ fn the_transpose_lists_every_pair_once() {
     assert_eq!(queries.queries(), points.len());
     for point in 0..points.len() {
         assert!(queries.row(point).is_sorted());
-        for k in queries.row_splits[point]..queries.row_splits[point + 1] {
-            let (q, pair) = (queries.indices[k] as usize, pairs[k] as usize);
+        let row = queries.row_splits[point]..queries.row_splits[point + 1];
+        for (&q, &pair) in queries.indices[row.clone()].iter().zip(&pairs[row]) {
+            let (q, pair) = (q as usize, pair as usize);
             assert_eq!(neighbors.indices[pair] as usize, point);
             assert!((neighbors.row_splits[q]..neighbors.row_splits[q + 1]).contains(&pair));
         }

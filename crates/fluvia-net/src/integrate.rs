@@ -100,14 +100,11 @@ pub fn correct_backward(
             v_star: [0.0; 3],
         },
         Integration::Velocity => {
-            for k in 0..3 {
-                by_output[3 + k] = VELOCITY_SCALE * scale / dt * by_velocity[k];
-            }
+            let by_outputs = by_output[3..].iter_mut();
+            by_outputs.zip(by_velocity).for_each(|(output, d)| *output = VELOCITY_SCALE * scale / dt * d);
             CorrectGradient { x: [0.0; 3], x_star: by_position, v_star: by_velocity }
         }
     };
-    for k in 0..3 {
-        by_output[k] = scale * gradient.x_star[k];
-    }
+    by_output.iter_mut().zip(gradient.x_star).for_each(|(output, d)| *output = scale * d);
     gradient
 }

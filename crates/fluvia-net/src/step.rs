@@ -40,6 +40,8 @@ pub struct StepGradients<'a> {
     pub extra: Option<&'a mut [f32]>,
     /// By the state before the step.
     pub state: Option<&'a mut State>,
+    /// Whether the network's geometry counts in the last of them.
+    pub positions: PositionGradient,
 }
 
 impl Step {
@@ -96,12 +98,11 @@ impl Step {
         by_next: &State,
         world: World<'_>,
         walls: &Walls,
-        positions: PositionGradient,
         gradients: StepGradients<'_>,
         memory: &mut Memory,
     ) {
         let config = network.config();
-        let StepGradients { tensors, extra, state } = gradients;
+        let StepGradients { tensors, extra, state, positions } = gradients;
         let count = self.order.len();
         let (inputs, outputs) = (config.fluid_inputs(), config.integration.outputs());
         let mut by_output = vec![0.0; count * outputs];

@@ -5,8 +5,6 @@
 //! dL/ds_{k−1} = (∂step/∂s_{k−1})ᵀ (dL_k/ds_k + dL_{k+1…}/ds_k)
 //! ```
 
-use cconv::PositionGradient;
-
 use crate::integrate::State;
 use crate::net::{Activations, Memory, Network, Walls};
 use crate::step::{Step, StepGradients, World};
@@ -85,14 +83,12 @@ impl Unroll {
         by_states: &[State],
         world: World<'_>,
         walls: &mut Walls,
-        positions: PositionGradient,
         gradients: StepGradients<'_>,
     ) {
         assert_eq!(by_states.len(), self.states().len(), "a derivative for each step");
-        let StepGradients { mut tensors, mut extra, mut state } = gradients;
-        let Some(count) = by_states.len().checked_sub(1).map(|last| last + 1) else { return };
-        let mut by_next = by_states[count - 1].clone();
-        for k in (0..count).rev() {
+        let StepGradients { mut tensors, mut extra, mut state, positions } = gradients;
+        let Some(mut by_next) = by_states.last().cloned() else { return };
+        for k in (0..by_states.len()).rev() {
             let step = match self.storage {
                 Storage::Keep => &mut self.steps[k],
                 Storage::Recompute => {
@@ -114,8 +110,9 @@ impl Unroll {
                 tensors: tensors.as_deref_mut(),
                 extra: extra.as_deref_mut(),
                 state: if k == 0 { state.as_deref_mut() } else { by_state.as_mut() },
+                positions,
             };
-            step.backward(network, &by_next, world, walls, positions, wanted, &mut self.memory);
+            step.backward(network, &by_next, world, walls, wanted, &mut self.memory);
             if let Some(by_state) = by_state {
                 by_next = by_state;
             }

@@ -214,8 +214,13 @@ fn gradients_of_two_steps_equal_open3ds() {
         let mut tensors: Vec<Vec<f32>> =
             weights.tensors().iter().map(|tensor| vec![0.0; tensor.values.len()]).collect();
         let mut state = integrate::State::zeros(count);
-        let wanted = StepGradients { tensors: Some(&mut tensors), state: Some(&mut state), extra: None };
-        unroll.backward(&network, &by_states, world, &mut walls, PositionGradient::Stop, wanted);
+        let wanted = StepGradients {
+            tensors: Some(&mut tensors),
+            state: Some(&mut state),
+            extra: None,
+            positions: PositionGradient::Stop,
+        };
+        unroll.backward(&network, &by_states, world, &mut walls, wanted);
 
         // Both sides are float32 sums.
         let close = |name: &str, values: &[f32], expected: &[f64]| {

@@ -2,6 +2,8 @@
 //! the reference and against PyTorch and Open3D, what is kept against what is computed again, and batches against
 //! one call a cloud.
 
+#![allow(clippy::unwrap_used, reason = "a test that fails says where")]
+
 mod numbers;
 
 use cconv::{Kernel, PositionGradient};
@@ -157,11 +159,12 @@ impl AllGradients {
         }
     }
 
-    fn wanted(&mut self) -> StepGradients<'_> {
+    fn wanted(&mut self, positions: PositionGradient) -> StepGradients<'_> {
         StepGradients {
             tensors: Some(&mut self.tensors),
             state: Some(&mut self.state),
             extra: Some(&mut self.extra),
+            positions,
         }
     }
 }
@@ -197,7 +200,7 @@ fn backward(
     // Twice, so that what is left in the memory of the first run would show.
     unroll.forward(&network, &problem.start, world, &mut walls, problem.by_states.len() + 1);
     unroll.forward(&network, &problem.start, world, &mut walls, problem.by_states.len());
-    unroll.backward(&network, &problem.by_states, world, &mut walls, positions, gradients.wanted());
+    unroll.backward(&network, &problem.by_states, world, &mut walls, gradients.wanted(positions));
 }
 
 #[test]
@@ -266,13 +269,13 @@ fn gradients_can_be_asked_for_one_by_one() {
     let mut all = AllGradients::zeros(&problem.weights, 30, 30);
     let mut one = all.clone();
     let full = PositionGradient::Full;
-    unroll.backward(&network, &problem.by_states, world, &mut walls, full, all.wanted());
+    unroll.backward(&network, &problem.by_states, world, &mut walls, all.wanted(full));
     let wanted = StepGradients { tensors: Some(&mut one.tensors), ..StepGradients::default() };
-    unroll.backward(&network, &problem.by_states, world, &mut walls, full, wanted);
+    unroll.backward(&network, &problem.by_states, world, &mut walls, wanted);
     let wanted = StepGradients { extra: Some(&mut one.extra), ..StepGradients::default() };
-    unroll.backward(&network, &problem.by_states, world, &mut walls, full, wanted);
+    unroll.backward(&network, &problem.by_states, world, &mut walls, wanted);
     let wanted = StepGradients { state: Some(&mut one.state), ..StepGradients::default() };
-    unroll.backward(&network, &problem.by_states, world, &mut walls, full, wanted);
+    unroll.backward(&network, &problem.by_states, world, &mut walls, wanted);
     let scale = all.tensors.iter().flatten().fold(0.0f32, |a, x| a.max(x.abs()));
     assert!(one.state == all.state && one.extra == all.extra);
     // The weights' gradient alone is summed on the cheaper side, with another rounding.
@@ -342,7 +345,7 @@ fn check_batch(steps: usize, with_weights: bool) {
                 unroll.forward(&network, &together, world, &mut walls, steps);
                 let mut gradients = AllGradients::zeros(&weights, total, total);
                 let full = PositionGradient::Full;
-                unroll.backward(&network, &by_states, world, &mut walls, full, gradients.wanted());
+                unroll.backward(&network, &by_states, world, &mut walls, gradients.wanted(full));
                 let context = format!("{} with {threads} threads", kernel.name());
                 assert!(gradients.state == alone.state, "{context}: the state");
                 assert!(gradients.extra == alone.extra, "{context}: the extra inputs");

@@ -209,8 +209,12 @@ impl Bench {
                     let moved = unroll.states().iter();
                     let by_states: Vec<State> =
                         moved.map(|moved| distance_gradient(&moved.position, state, clouds)).collect();
-                    let wanted = StepGradients { tensors: Some(tensors), ..StepGradients::default() };
-                    unroll.backward(network, &by_states, world, walls, PositionGradient::Stop, wanted);
+                    let wanted = StepGradients {
+                        tensors: Some(tensors),
+                        positions: PositionGradient::Stop,
+                        ..StepGradients::default()
+                    };
+                    unroll.backward(network, &by_states, world, walls, wanted);
                 }
             }
         }
@@ -224,11 +228,13 @@ fn distance_gradient(position: &[[f32; 3]], start: &State, clouds: &[usize]) -> 
     const EPSILON: f32 = 1e-9;
     let mut gradient = State::zeros(position.len());
     for cloud in clouds.windows(2) {
-        let scale = 1.0 / (cloud[1] - cloud[0]) as f32;
-        for i in cloud[0]..cloud[1] {
-            let d: [f32; 3] = std::array::from_fn(|axis| position[i][axis] - start.position[i][axis]);
+        let rows = cloud[0]..cloud[1];
+        let scale = 1.0 / rows.len() as f32;
+        let pairs = position[rows.clone()].iter().zip(&start.position[rows.clone()]);
+        for (gradient, (x, x0)) in gradient.position[rows].iter_mut().zip(pairs) {
+            let d: [f32; 3] = std::array::from_fn(|axis| x[axis] - x0[axis]);
             let distance = (d.iter().map(|x| x * x).sum::<f32>() + EPSILON).sqrt();
-            gradient.position[i] = d.map(|x| scale * x / distance);
+            *gradient = d.map(|x| scale * x / distance);
         }
     }
     gradient

@@ -171,6 +171,29 @@ fn where_a_run_goes_by_default() {
 }
 
 #[test]
+fn the_precision_is_recorded_and_a_run_keeps_it() {
+    let folder = Folder::new();
+    folder.write("scene.json", SCENE);
+    let weights = fixture("plain.pt");
+    let network = format!("simulate scene.json --weights {weights}");
+    folder.succeed(&format!("{network} --steps 2 --out exact --threads 1"));
+    folder.succeed(&format!("{network} --steps 2 --out out --precision bf16 --threads 1"));
+    let record: serde_json::Value =
+        serde_json::from_slice(&std::fs::read(folder.path("out/run.json")).unwrap()).unwrap();
+    assert_eq!(record["parameters"]["precision"], "bf16");
+    let frame = |run: &str| std::fs::read(folder.path(&format!("{run}/fluid_0002.npz"))).unwrap();
+    assert!(frame("exact") != frame("out"));
+    let run = folder.run(&format!("{network} --steps 4 --out out --resume"));
+    assert_eq!(run.code, Some(1));
+    assert!(run.stderr.contains("bf16") && run.stderr.contains("f32"), "{}", run.stderr);
+    folder.succeed(&format!("{network} --steps 4 --out out --resume --precision bf16 --threads 2"));
+    folder.succeed(&format!("{network} --steps 4 --out whole --precision bf16 --threads 1"));
+    assert!(folder.files("out") == folder.files("whole"));
+    // Position-based fluids have no such products.
+    assert_eq!(folder.run("simulate scene.json --precision bf16 --out pbf").code, Some(2));
+}
+
+#[test]
 fn a_damaged_state_is_an_error() {
     let folder = Folder::new();
     folder.write("scene.json", SCENE);
