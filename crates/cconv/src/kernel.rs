@@ -112,9 +112,8 @@ pub(crate) trait Operation {
 /// Vectors of float32 and the operations on them. One line each in the file of a set; all of them
 /// `inline(always)`, so that they become single instructions inside [`Kernel::run`].
 ///
-/// # Safety
-/// The functions may only be called inside [`Operation::run`] for this set, which [`Kernel::run`] calls
-/// after the processor has been asked.
+/// The sets of one processor are private to this module and named in [`Kernel::run`] alone, after the processor was
+/// asked. So code that is generic over a set runs only where its instructions are, and may call them.
 pub(crate) trait InstructionSet {
     /// `LANES` floats.
     type Vector: Copy;
@@ -213,7 +212,7 @@ impl<T> Product<'_, T> {
     /// If the slices are too short, so that a kernel can work with pointers after this.
     #[inline(always)]
     fn validate(&self) {
-        assert!(self.rows <= ROWS && self.width <= PANEL && self.width.is_multiple_of(16), "a tile's shape");
+        assert!(self.rows <= ROWS && is_panel(self.width), "a tile's shape");
         assert!(self.a.len() >= (ROWS - 1) * self.a_stride + self.depth, "{ROWS} rows of a");
         assert!(self.b.len() >= self.depth * self.width, "a whole panel of b");
         assert!(self.c.len() >= (ROWS - 1) * self.c_stride + self.width, "{ROWS} rows of c");
@@ -241,7 +240,7 @@ impl Outer<'_, Bf16> {
     #[inline(always)]
     fn validate_pairs(&self) {
         let Outer { rows, depth, width, a_stride, c_stride, .. } = *self;
-        assert!(rows.is_multiple_of(4) && width <= PANEL && width.is_multiple_of(16), "a tile's shape");
+        assert!(rows.is_multiple_of(4) && is_panel(width), "a tile's shape");
         assert!(
             depth == 0 || self.a.len() >= (depth - 1) * a_stride + 2 * rows,
             "{depth} pairs of rows of a"
@@ -257,11 +256,17 @@ impl Outer<'_> {
     #[inline(always)]
     fn validate(&self) {
         let Outer { rows, depth, width, a_stride, c_stride, .. } = *self;
-        assert!(rows.is_multiple_of(4) && width <= PANEL && width.is_multiple_of(16), "a tile's shape");
+        assert!(rows.is_multiple_of(4) && is_panel(width), "a tile's shape");
         assert!(depth == 0 || self.a.len() >= (depth - 1) * a_stride + rows, "{depth} rows of a");
         assert!(self.b.len() >= depth * width, "a whole panel of b");
         assert!(rows == 0 || self.c.len() >= (rows - 1) * c_stride + width, "{rows} rows of c");
     }
+}
+
+/// Whether a panel can be so wide.
+#[inline(always)]
+fn is_panel(width: usize) -> bool {
+    width > 0 && width <= PANEL && width.is_multiple_of(16)
 }
 
 /// How input channels are cut into slabs. The patches of a slab and its weights stay in the second-level

@@ -24,8 +24,9 @@ const CHUNK: usize = 128;
 /// Cells that the dense table may have per point; beyond that only occupied cells are listed.
 const DENSE_CELLS_PER_POINT: usize = 8;
 
-/// Coordinates of cells stay within ± this: farther points share the outermost cells.
-const CELL_LIMIT: f64 = (1 << 20) as f64;
+/// Coordinates of cells stay within ± this: farther points share the outermost cells, and the number of a cell
+/// fits 63 bits.
+const CELL_LIMIT: f64 = ((1 << 20) - 1) as f64;
 
 /// By how much the range of cells is widened against rounding in the float32 distances.
 const SLACK: f64 = 1e-5;

@@ -32,7 +32,8 @@ pub enum Metric {
     Linf,
 }
 
-/// The search radius, in the unit of the points. Negative and non-finite radii find nothing.
+/// The search radius, in the unit of the points. Negative and non-finite radii find nothing; nor do, for
+/// [`Metric::L2`], those whose square is beyond the range of float32, below 1.1e-19 (but for 0) and above 1.8e19.
 #[derive(Clone, Copy, Debug)]
 pub enum Radius<'a> {
     /// One radius for all queries.
@@ -115,7 +116,8 @@ fn threshold(metric: Metric, radius: f32) -> f32 {
         return -1.0;
     }
     match metric {
-        Metric::L2 => radius * radius,
+        Metric::L2 if radius == 0.0 || (radius * radius).is_normal() => radius * radius,
+        Metric::L2 => -1.0,
         Metric::L1 | Metric::Linf => radius,
     }
 }

@@ -178,3 +178,27 @@ fn clouds_are_searched_as_one_call_each() {
         }
     }
 }
+
+#[test]
+fn the_ends_of_float32_agree_with_brute_force() {
+    let far = 3e38;
+    let points: Vec<Point> =
+        vec![[-1e30; 3], [1e30; 3], [0.0; 3], [1e-24, 0.0, 0.0], [far, -far, far], [1.0, 0.0, 0.0]];
+    for metric in [Metric::L1, Metric::L2, Metric::Linf] {
+        let options = Options { metric, ..Options::default() };
+        for radius in [0.0, 1e-30, 1e-25, 1e-19, 1e-18, 0.5, 1.0, 1e18, 1e19, 1e20, 1e38] {
+            let expected = brute_force(&points, &points, Radius::Uniform(radius), &options);
+            for cell_size in [1e-20, 1.0, 1e20] {
+                let (mut grid, mut found) = (Grid::new(), Neighbors::default());
+                grid.build(&points, cell_size);
+                grid.search(&points, Radius::Uniform(radius), &options, &mut found);
+                for q in 0..points.len() {
+                    let (mut row, mut expected) = (found.row(q).to_vec(), expected.row(q).to_vec());
+                    row.sort_unstable();
+                    expected.sort_unstable();
+                    assert_eq!(row, expected, "{metric:?} radius {radius:e} cells {cell_size:e} query {q}");
+                }
+            }
+        }
+    }
+}

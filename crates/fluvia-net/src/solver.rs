@@ -33,13 +33,18 @@ impl NetSolver {
     /// if it had the viscosity of its training data.
     ///
     /// # Errors
-    /// `Parameter` if the network has an input other than the viscosity, or its layers do not fit.
+    /// `Parameter` if the network has an input other than the viscosity, its layers do not fit, or there is not a
+    /// normal for each wall particle.
     pub fn new(
         weights: &Weights,
         boundary: &Boundary,
         viscosity: &[Option<f32>],
         kernel: Kernel,
     ) -> Result<NetSolver> {
+        let (walls, normals) = (boundary.position.len(), boundary.normal.len());
+        if walls != normals {
+            return Err(Error::Parameter(format!("{normals} normals for {walls} wall particles")));
+        }
         let network = Network::new(weights, kernel)?;
         let config = network.config();
         let viscosity = match config.extra_inputs.as_slice() {
@@ -109,6 +114,18 @@ impl Solver for NetSolver {
             return Err(fluvia_sim::Error::Parameter(format!(
                 "dt: {dt} s, but the weights were made for steps of {made_for} s"
             )));
+        }
+        if let Acceleration::PerParticle(values) = acceleration
+            && values.len() != particles.len()
+        {
+            let (found, expected) = (values.len(), particles.len());
+            let message = format!("{found} accelerations for {expected} particles");
+            return Err(fluvia_sim::Error::Parameter(message));
+        }
+        let bodies = self.viscosity.as_ref().map_or(usize::MAX, Vec::len);
+        if let Some(body) = particles.body.iter().find(|&&body| body as usize >= bodies) {
+            let message = format!("a particle of body {body}, but there are viscosities for {bodies} bodies");
+            return Err(fluvia_sim::Error::Parameter(message));
         }
         self.look_up(&particles.body);
         let world = World { extra: &self.extra, acceleration, clouds: &[0, particles.len()] };

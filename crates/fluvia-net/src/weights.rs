@@ -243,9 +243,11 @@ pub struct Summary {
 }
 
 impl Summary {
-    /// The number of numbers in all tensors.
+    /// The number of numbers in all tensors that are trained: published files hold constants beside them.
     pub fn parameters(&self) -> usize {
-        self.tensors.iter().map(|tensor| tensor.shape.iter().product::<usize>()).sum()
+        let is_constant = |name: &str| name == "gravity" || name.ends_with(".offset");
+        let trained = self.tensors.iter().filter(|tensor| !is_constant(&tensor.name));
+        trained.map(|tensor| tensor.shape.iter().product::<usize>()).sum()
     }
 }
 

@@ -109,6 +109,22 @@ fn another_time_step_or_input_is_refused() {
     assert!(error.to_string().contains("temperature"), "{error}");
 }
 
+#[test]
+fn what_does_not_fit_is_refused() {
+    let mut numbers = Numbers(5);
+    let weights = weights(Integration::Paper, &["viscosity"], &mut numbers);
+    let dt = weights.config.dt;
+    let boundary = Boundary { position: vec![[0.0; 3]; 2], normal: vec![[0.0, 1.0, 0.0]] };
+    let error = NetSolver::new(&weights, &boundary, &[None], Kernel::detect()).unwrap_err();
+    assert_eq!(error.to_string(), "1 normals for 2 wall particles");
+    let mut solver = NetSolver::new(&weights, &Boundary::default(), &[None], Kernel::detect()).unwrap();
+    let mut start = particles(3, &mut numbers);
+    let error = solver.step(&mut start, Acceleration::PerParticle(&[[0.0; 3]; 2]), dt).unwrap_err();
+    assert_eq!(error.to_string(), "2 accelerations for 3 particles");
+    let error = solver.step(&mut start, Acceleration::Uniform([0.0; 3]), dt).unwrap_err();
+    assert_eq!(error.to_string(), "a particle of body 1, but there are viscosities for 1 bodies");
+}
+
 /// The published layers leave out what is at distance zero, wall particles too: Open3D gives a particle that
 /// coincides with one the same correction as without it.
 #[test]

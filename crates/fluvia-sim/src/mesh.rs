@@ -99,13 +99,13 @@ impl TriangleMesh {
         if polygons.ends.is_empty() {
             return Err("no faces, expected a surface of triangles or polygons".into());
         }
-        Ok(polygons.into_mesh())
+        polygons.into_mesh()
     }
 
     /// Makes a mesh of polygons: cuts them into triangles and welds corners at equal positions.
     ///
     /// # Panics
-    /// If a polygon names a position that is not there.
+    /// If a polygon names a position that is not there, or is not convex and has more than 10,000 corners.
     pub fn from_polygons<'a>(
         positions: Vec<[f32; 3]>,
         polygons: impl IntoIterator<Item = &'a [u32]>,
@@ -114,7 +114,7 @@ impl TriangleMesh {
         for polygon in polygons {
             result.push(polygon.iter().copied());
         }
-        result.into_mesh()
+        result.into_mesh().expect("a polygon of few corners")
     }
 
     /// The corners of triangle `t`.

@@ -81,10 +81,11 @@ pub fn center_of_mass(positions: &[[f32; 3]]) -> Option<[f64; 3]> {
     (!positions.is_empty()).then(|| std::array::from_fn(along))
 }
 
-/// The largest |v|, metres per second; 0 without particles.
+/// The largest |v|, metres per second; 0 without particles. The largest float32 for what is beyond it.
 pub fn highest_speed(velocities: &[[f32; 3]]) -> f32 {
-    let squared = velocities.iter().map(|v| v.iter().map(|c| c * c).sum::<f32>());
-    squared.fold(0.0, f32::max).sqrt()
+    // The square of a float32 need not be one.
+    let squared = velocities.iter().map(|v| v.iter().map(|c| f64::from(*c).powi(2)).sum::<f64>());
+    squared.fold(0.0, f64::max).sqrt().min(f64::from(f32::MAX)) as f32
 }
 
 /// The first particle with a number that is not finite: its row, and "position" or "velocity".
@@ -183,6 +184,8 @@ mod tests {
         let velocities = [[3.0, 0.0, 4.0], [0.0; 3]];
         assert_eq!(kinetic_energy(&velocities), 6.25);
         assert_eq!(highest_speed(&velocities), 5.0);
+        assert_eq!(highest_speed(&[[1e20, 0.0, 0.0]]), 1e20);
+        assert_eq!(highest_speed(&[[f32::MAX; 3]]), f32::MAX);
         assert_eq!(center_of_mass(&[[1.0, 2.0, 3.0], [3.0, 2.0, 1.0]]), Some([2.0; 3]));
         assert_eq!((kinetic_energy(&[]), highest_speed(&[]), center_of_mass(&[])), (0.0, 0.0, None));
     }

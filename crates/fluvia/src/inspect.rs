@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
 use fluvia_net::weights::{self, Summary as WeightSummary};
 use fluvia_sim::frames::{self, Format, ParticleData, run};
 use fluvia_sim::mesh::TriangleMesh;
@@ -54,6 +54,7 @@ fn file(path: &Path) -> Result<Value> {
         "ply" => match frames::read(path) {
             Ok(particles) => match TriangleMesh::load(path) {
                 Ok(mesh) => Ok(mesh_file(&mesh)),
+                Err(error) if has_faces(path)? => Err(error.into()),
                 Err(_) => Ok(particle_file(&particles)),
             },
             Err(error) => TriangleMesh::load(path).map(|mesh| mesh_file(&mesh)).map_err(|_| error.into()),
@@ -151,6 +152,14 @@ fn place(entry: &mut Value, placement: &Placement) {
     if placement.translation != [0.0; 3] {
         entry["translation_m"] = json!(placement.translation.map(decimal));
     }
+}
+
+/// Whether the header of a PLY file names faces.
+fn has_faces(path: &Path) -> Result<bool> {
+    let bytes = std::fs::read(path).with_context(|| path.display().to_string())?;
+    let lines = bytes.split(|&byte| byte == b'\n').map(<[u8]>::trim_ascii);
+    let mut header = lines.take_while(|line| *line != b"end_header");
+    Ok(header.any(|line| line.starts_with(b"element face") && !line.ends_with(b" 0")))
 }
 
 fn mesh_file(mesh: &TriangleMesh) -> Value {

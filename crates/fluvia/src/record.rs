@@ -24,6 +24,9 @@ pub struct Record {
     pub parameters: serde_json::Value,
     /// The instruction set that computes: results of one are the same bits everywhere, of two they are not.
     pub kernel: String,
+    /// What computed the first steps, if the run was resumed by another version or kernel.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub earlier: Vec<Earlier>,
     pub threads: usize,
     pub formats: Vec<String>,
     /// Seconds between frames.
@@ -34,6 +37,15 @@ pub struct Record {
     pub steps: u64,
     /// How the run went, once it has ended.
     pub summary: Option<Summary>,
+}
+
+/// What computed the steps of a run up to one of them.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Earlier {
+    pub version: String,
+    pub kernel: String,
+    /// The last of the steps.
+    pub until_step: u64,
 }
 
 /// A file and what was in it.
@@ -81,7 +93,7 @@ impl Summary {
 impl Record {
     /// The first thing in which this run differs from the one that it would continue: its name, the old value
     /// and the new one. Threads and the number of steps may differ.
-    pub fn difference(&self, old: &Record) -> Option<(&'static str, String, String)> {
+    pub fn difference(&self, old: &Record) -> Option<(String, String, String)> {
         let hash = |source: &Option<Source>| source.as_ref().map_or("none".into(), |s| s.sha256.clone());
         let fields = [
             ("scene (sha256)", &old.scene.sha256, &self.scene.sha256),
@@ -89,11 +101,21 @@ impl Record {
             ("seed", &old.seed.to_string(), &self.seed.to_string()),
             ("sampled particles (sha256)", &old.particles_sha256, &self.particles_sha256),
             ("solver", &old.solver, &self.solver),
-            ("solver's parameters", &old.parameters.to_string(), &self.parameters.to_string()),
             ("formats", &old.formats.join(","), &self.formats.join(",")),
         ]
-        .map(|(name, old, new)| (name, old.clone(), new.clone()));
-        fields.into_iter().find(|(_, old, new)| old != new)
+        .map(|(name, old, new)| (name.to_owned(), old.clone(), new.clone()));
+        fields.into_iter().find(|(_, old, new)| old != new).or_else(|| self.other_parameter(old))
+    }
+
+    /// The first parameter of the solver that has another value.
+    fn other_parameter(&self, old: &Record) -> Option<(String, String, String)> {
+        let value = |record: &Record, key: &str| {
+            record.parameters.get(key).map_or("none".into(), serde_json::Value::to_string)
+        };
+        let keys = [old, self].into_iter().filter_map(|record| record.parameters.as_object());
+        keys.flat_map(serde_json::Map::keys)
+            .map(|key| (format!("solver's parameters, {key}"), value(old, key), value(self, key)))
+            .find(|(_, old, new)| old != new)
     }
 }
 

@@ -1,5 +1,6 @@
 //! `fluvia render`: draws frames as a picture, a contact sheet or a film.
 
+use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -33,7 +34,7 @@ pub struct Args {
     /// The picture (.png) or film (.gif) to write.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// A contact sheet of COLUMNS x ROWS frames, evenly spread; with several directories, one row for each.
+    /// A contact sheet of COLUMNS x ROWS frames, evenly spread; several directories have a row each.
     #[arg(long, value_name = "COLUMNSxROWS", conflicts_with = "frame")]
     sheet: Option<Shape>,
     /// The frames of a sheet or film, in place of evenly spread ones.
@@ -42,15 +43,15 @@ pub struct Args {
     /// The one frame to draw; the last if not given.
     #[arg(long, value_name = "N")]
     frame: Option<u64>,
-    /// Every K-th frame of a film; it plays at the speed of the simulation.
-    #[arg(long, value_name = "K", default_value = "1")]
-    every: std::num::NonZeroUsize,
+    /// Every K-th frame of a film, which plays at the speed of the simulation; 1 if not given.
+    #[arg(long, value_name = "K")]
+    every: Option<NonZeroUsize>,
     /// What colours show.
     #[arg(long, value_enum, default_value_t = Color::Speed)]
     color: Color,
-    /// The speed of the yellow end of the scale, metres per second.
-    #[arg(long, value_name = "SPEED", default_value_t = 4.0, value_parser = positive)]
-    max_speed: f32,
+    /// The speed of the yellow end of the scale of speeds, metres per second; 4 if not given.
+    #[arg(long, value_name = "SPEED", value_parser = positive)]
+    max_speed: Option<f32>,
     /// The turn of the camera about the vertical, degrees.
     #[arg(long, value_name = "DEGREES", default_value_t = 24.0, allow_negative_numbers = true)]
     yaw: f32,
@@ -61,7 +62,7 @@ pub struct Args {
     #[arg(long, value_name = "PIXELS")]
     size: Option<u32>,
     /// The highest point to show, metres; the highest particle if not given.
-    #[arg(long, value_name = "HEIGHT")]
+    #[arg(long, value_name = "HEIGHT", allow_negative_numbers = true)]
     top: Option<f32>,
     /// A title above a sheet.
     #[arg(long, default_value = "")]
@@ -101,6 +102,9 @@ impl std::str::FromStr for Shape {
 /// The width of a picture where none is given, pixels: alone, and as a tile of a sheet.
 const WIDTHS: [u32; 2] = [640, 240];
 
+/// The speed of the yellow end of the scale where none is given, metres per second.
+const MAX_SPEED: f32 = 4.0;
+
 /// Frames of a film that its colours are chosen from.
 const PALETTE_FRAMES: usize = 8;
 
@@ -115,6 +119,12 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
     if is_film && (args.runs.len() > 1 || args.sheet.is_some() || args.frame.is_some()) {
         bail!("{output}: a film shows one directory, without --sheet or --frame");
     }
+    if args.every.is_some() && !is_film {
+        bail!("{output}: --every is for films (.gif)");
+    }
+    if args.max_speed.is_some() && args.color != Color::Speed {
+        bail!("--max-speed: the colours do not show speeds, expected --color speed");
+    }
     let runs = args.runs.iter().map(|text| Run::open(text)).collect::<Result<Vec<_>>>()?;
     let rows = choose_frames(args, &runs, is_film)?;
     let moments = rows
@@ -123,8 +133,17 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
         .collect::<Result<Vec<Vec<Moment>>>>()?;
 
     let first = &runs[0];
+    for run in &runs[1..] {
+        if (run.radius, run.up) != (first.radius, first.up) {
+            let (path, first) = (run.path.display(), first.path.display());
+            bail!(
+                "{path}: another particle radius or gravity than {first}, expected the same in all directories"
+            );
+        }
+    }
     let is_sheet = args.sheet.is_some() || runs.len() > 1 || (args.frames.len() > 1 && !is_film);
     let mut subject = Subject::new(first.walls(), first.radius).with_up(first.up);
+    runs[1..].iter().for_each(|run| subject.add(&run.walls.position));
     moments.iter().flatten().for_each(|moment| subject.add(&moment.position));
     let width = args.size.unwrap_or(WIDTHS[usize::from(is_sheet)]);
     let view = View { yaw: args.yaw, pitch: args.pitch, width, top: args.top, ..View::default() };
@@ -152,7 +171,7 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
 fn choose_frames(args: &Args, runs: &[Run], is_film: bool) -> Result<Vec<(usize, Vec<u64>)>> {
     if is_film {
         let all = if args.frames.is_empty() { &runs[0].frames } else { &args.frames };
-        return Ok(vec![(0, all.iter().copied().step_by(args.every.get()).collect())]);
+        return Ok(vec![(0, all.iter().copied().step_by(args.every.map_or(1, NonZeroUsize::get)).collect())]);
     }
     let mut rows = Vec::new();
     for (k, run) in runs.iter().enumerate() {
@@ -162,6 +181,16 @@ fn choose_frames(args: &Args, runs: &[Run], is_film: bool) -> Result<Vec<(usize,
             None => (args.frames.len().max(1), 1),
         };
         let count = columns * row_count;
+        if let Some(Shape { columns, rows }) = args.sheet {
+            let (given, places) = (args.frames.len(), columns * if runs.len() == 1 { rows } else { 1 });
+            if given > 0 && given != places {
+                bail!("--frames: {given} frames for {places} places of --sheet {columns}x{rows}");
+            }
+            if runs.len() > 1 && rows != runs.len() {
+                let count = runs.len();
+                bail!("--sheet: {rows} rows for {count} directories, expected {columns}x{count}");
+            }
+        }
         let frames: Vec<u64> = match (args.frames.as_slice(), args.frame) {
             ([], None) if count == 1 => vec![last],
             ([], None) => spread(&run.frames, count),
@@ -188,7 +217,7 @@ fn style(args: &Args, runs: &[Run], moments: &[Vec<Moment>]) -> Style {
                 .fold((f32::INFINITY, f32::NEG_INFINITY), |(low, high), &x| (low.min(x), high.max(x)));
             if low < high { Scale::height(low, high) } else { Scale::height(0.0, 1.0) }
         }
-        Color::Speed | Color::Body => Scale::speed(args.max_speed),
+        Color::Speed | Color::Body => Scale::speed(args.max_speed.unwrap_or(MAX_SPEED)),
     };
     let bodies = moments.iter().flatten().flat_map(|moment| &moment.bodies).max().map_or(0, |&last| last + 1);
     let bodies = (0..bodies).map(|body| format!("body {body}")).collect();
@@ -205,9 +234,11 @@ fn film(run: &Run, moments: &[Moment], camera: &Camera, style: &Style, args: &Ar
     let samples = moments.iter().step_by(step).map(draw).collect::<Result<Vec<_>>>()?;
     let size = samples.first().context("no frames to draw")?;
     let mut encoder = GifEncoder::new(size.width, size.height, Palette::of(&samples))?;
-    let seconds = run.dt * args.every.get() as f64;
-    for moment in moments {
-        encoder.push(&draw(moment)?, seconds)?;
+    for (k, moment) in moments.iter().enumerate() {
+        // Until the next moment; the last stays as long as the one before.
+        let pair = &moments[k.min(moments.len().saturating_sub(2))..];
+        let frames = pair.get(1).map_or(1, |next| next.index.abs_diff(pair[0].index).max(1));
+        encoder.push(&draw(moment)?, run.dt * frames as f64)?;
     }
     Ok(encoder.finish()?)
 }

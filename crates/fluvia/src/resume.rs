@@ -7,7 +7,7 @@ use fluvia_sim::frames::{self, Mode, RunDirectory};
 use fluvia_sim::rollout::{self, Rollout};
 use fluvia_sim::scene::Setup;
 
-use crate::record::Record;
+use crate::record::{Earlier, Record, Summary};
 use crate::report::Report;
 
 /// How to open the directory of a run that is to go on.
@@ -43,11 +43,17 @@ fn check_same(out: &Path, record: &Record) -> Result<Record> {
     }
 }
 
-/// The rollout in the directory, after its last step on disk.
+/// The rollout in the directory, after its last step on disk, and its summary if it had ended. Where another version or
+/// kernel goes on, the record says so from then on.
 ///
 /// # Errors
 /// If it is another run, or its state is damaged.
-pub fn rollout(directory: &RunDirectory, setup: &Setup, record: &Record, report: &Report) -> Result<Rollout> {
+pub fn rollout(
+    directory: &mut RunDirectory,
+    setup: &Setup,
+    record: &mut Record,
+    report: &Report,
+) -> Result<(Rollout, Option<Summary>)> {
     let old = check_same(directory.path(), record)?;
     if old.version != record.version {
         report.warning(format_args!(
@@ -62,9 +68,22 @@ pub fn rollout(directory: &RunDirectory, setup: &Setup, record: &Record, report:
         ));
     }
     let state = directory.read_state()?;
-    report.note(format_args!("resuming after step {} of {}", state.step, record.steps));
+    let goes_on = state.step < record.steps;
+    if goes_on {
+        report.note(format_args!("resuming after step {} of {}", state.step, record.steps));
+    } else {
+        report.note(format_args!("the run has its {} steps already", state.step));
+    }
+    record.earlier.clone_from(&old.earlier);
+    let differs = (&old.version, &old.kernel) != (&record.version, &record.kernel);
+    if goes_on && differs {
+        let Record { version, kernel, .. } = old;
+        record.earlier.push(Earlier { version, kernel, until_step: state.step });
+        directory.write_record(record)?;
+    }
     let path = directory.path().join(frames::run::STATE);
-    Rollout::resume(setup, from_disk(state)).with_context(|| path.display().to_string())
+    let rollout = Rollout::resume(setup, from_disk(state)).with_context(|| path.display().to_string())?;
+    Ok((rollout, old.summary))
 }
 
 /// Writes the frame of a state, then the state: a run that is killed between the two writes the frame again.

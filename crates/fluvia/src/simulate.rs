@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use cconv::Kernel;
 use fluvia_net::weights;
 use fluvia_sim::frames::{Format, Mode, RunDirectory};
@@ -62,7 +62,7 @@ pub struct Args {
     /// The format of the network's large matrix products.
     #[arg(long, value_enum, default_value_t = PrecisionName::F32, requires = "weights")]
     precision: PrecisionName,
-    /// The solver's own step, seconds (pbf).
+    /// The solver's own step, seconds (pbf): an interval is cut into equal parts that are no longer.
     #[arg(long, value_name = "SECONDS", value_parser = positive, conflicts_with_all = ["weights", "solver_dt_max"])]
     solver_dt: Option<f32>,
     /// The solver's longest step, seconds (pbf; 0.004 if not given).
@@ -120,8 +120,18 @@ fn prepare(args: &Args, report: &Report) -> Result<Prepared> {
     let setup = scene.sample(args.seed)?;
     let kernel = Kernel::detect();
     let mut solver = choice.make(&setup, kernel)?;
+    if let Some(own) = args.solver_dt
+        && own > setup.dt
+    {
+        bail!("--solver-dt: {own} s, expected at most the {} s between frames", setup.dt);
+    }
     // A step of no particles: whether the solver takes this time step shows before anything is written.
-    solver.step(&mut Particles::default(), Acceleration::Uniform(setup.gravity), setup.dt)?;
+    solver
+        .step(&mut Particles::default(), Acceleration::Uniform(setup.gravity), setup.dt)
+        .with_context(|| format!("{}: `dt`", args.scene))?;
+    if setup.emitters.iter().all(|emitter| emitter.start > args.steps) {
+        report.warning(format_args!("no particles within {} steps: every fluid starts later", args.steps));
+    }
     let mut formats = args.format.clone();
     formats.sort_by_key(|format| format.extension());
     formats.dedup();
@@ -141,6 +151,7 @@ fn prepare(args: &Args, report: &Report) -> Result<Prepared> {
         solver: solver.name().into(),
         parameters: choice.parameters(),
         kernel: choice.kernel_name(kernel).into(),
+        earlier: Vec::new(),
         threads: rayon::current_num_threads(),
         formats: formats.iter().map(|format| format.extension().into()).collect(),
         dt: setup.dt,
@@ -179,9 +190,9 @@ fn simulate(args: &Args, report: &Report, prepared: Prepared) -> Result<ExitCode
     // Frame 0 exists only if the particles can be emitted: before the directory is touched.
     let fresh = if mode == Mode::Resume { None } else { Some(Rollout::new(&setup)?) };
     let mut directory = RunDirectory::open(&out, mode, &formats, setup.dt)?;
-    let mut rollout = match fresh {
-        Some(rollout) => rollout,
-        None => resume::rollout(&directory, &setup, &record, report)?,
+    let (mut rollout, ended) = match fresh {
+        Some(rollout) => (rollout, None),
+        None => resume::rollout(&mut directory, &setup, &mut record, report)?,
     };
     if mode != Mode::Resume {
         directory.write_record(&record)?;
@@ -209,10 +220,18 @@ fn simulate(args: &Args, report: &Report, prepared: Prepared) -> Result<ExitCode
     }
     bar.finish_and_clear();
     let done = rollout.state().step - first_step;
-    let summary = Summary::new(rollout.state(), if done > 0 { 1e3 * seconds / done as f64 } else { 0.0 });
-    record.steps = record.steps.max(summary.steps);
-    record.summary = Some(summary.clone());
-    directory.write_record(&record)?;
+    let summary = match ended {
+        // Nothing was left to do: the record stays as it is.
+        Some(summary) if done == 0 => summary,
+        _ => {
+            let ms_per_step = if done > 0 { 1e3 * seconds / done as f64 } else { 0.0 };
+            let summary = Summary::new(rollout.state(), ms_per_step);
+            record.steps = record.steps.max(summary.steps);
+            record.summary = Some(summary.clone());
+            directory.write_record(&record)?;
+            summary
+        }
+    };
     if args.json {
         report.result(serde_json::to_string(&summary)?)?;
     } else if !report.is_quiet() {

@@ -111,13 +111,20 @@ fn check_pbf(scene: &Scene) -> Result<()> {
         // One density for all moves as any other does: pressure and weight both grow with it.
         match density {
             Some(first) if first != own => bail!(
-                "{path}: `fluids[{i}].density`: {own:?} where fluids[0] has {first:?}, but the solver pbf needs the \
-                 same density in all fluids"
+                "{path}: `fluids[{i}].density`: {} where fluids[0] has {}, but the solver pbf needs the same density in \
+                 all fluids",
+                named(own),
+                named(first),
             ),
             _ => density = Some(own),
         }
     }
     Ok(())
+}
+
+/// A density, if one is given.
+fn named(density: Option<f32>) -> String {
+    density.map_or("none given".into(), |density| format!("{density} kg/m³"))
 }
 
 fn check_network(scene: &Scene, config: &Config) -> Result<()> {

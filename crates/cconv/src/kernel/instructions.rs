@@ -6,8 +6,8 @@ macro_rules! instructions {
         $(
             #[inline(always)]
             fn $name($($argument: $type),*) $(-> $result)? {
-                // SAFETY: these functions are only called inside `Kernel::run`, after the processor has been
-                // asked; memory is only touched through slices whose length has been checked.
+                // SAFETY: only `Kernel::run` can name the set, and does so after the processor was asked; memory
+                // is only touched through slices whose length has been checked.
                 unsafe { $body }
             }
         )*

@@ -5,9 +5,9 @@ use std::collections::HashMap;
 use super::TriangleMesh;
 use super::geometry::{Vec3, cross, dot, scaled, sub};
 
-/// Polygons with more corners than this are cut as a fan, which is right for convex ones: searching for ears takes
-/// time with the square of their number.
-const MAX_EAR_CORNERS: usize = 1000;
+/// Corners of a polygon that is not convex: searching for ears takes time with the square of their number, some
+/// seconds for so many.
+const MAX_EAR_CORNERS: usize = 10_000;
 
 /// What a parser makes of a file.
 #[derive(Debug, Default)]
@@ -26,11 +26,14 @@ impl Polygons {
     }
 
     /// Welds equal positions, drops vertices without a face and cuts the polygons into triangles.
-    pub(super) fn into_mesh(self) -> TriangleMesh {
+    ///
+    /// # Errors
+    /// If a polygon that is not convex has too many corners.
+    pub(super) fn into_mesh(self) -> Result<TriangleMesh, String> {
         let mut mesh = TriangleMesh::default();
         let mut vertex_at: HashMap<[u32; 3], u32> = HashMap::new();
         let (mut start, mut polygon) = (0, Vec::new());
-        for &end in &self.ends {
+        for (number, &end) in self.ends.iter().enumerate() {
             polygon.clear();
             for &corner in &self.corners[start..end] {
                 // Adding zero turns -0 into 0, which is the same position.
@@ -46,35 +49,45 @@ impl Polygons {
             while polygon.len() > 1 && polygon.first() == polygon.last() {
                 polygon.pop();
             }
-            triangulate(&mut polygon, &mesh.positions, &mut mesh.triangles);
+            let corners = polygon.len();
+            if !triangulate(&mut polygon, &mesh.positions, &mut mesh.triangles) {
+                return Err(format!(
+                    "face {}: {corners} corners and not convex, expected at most {MAX_EAR_CORNERS}",
+                    number + 1
+                ));
+            }
             start = end;
         }
-        mesh
+        Ok(mesh)
     }
 }
 
 /// Cuts a polygon into triangles with the same direction, and keeps all of its sides: no vertex on a side is
-/// lost, or a neighbour's edge would be open.
-fn triangulate(polygon: &mut Vec<u32>, positions: &[[f32; 3]], triangles: &mut Vec<[u32; 3]>) {
+/// lost, or a neighbour's edge would be open. False for one with too many corners.
+fn triangulate(polygon: &mut Vec<u32>, positions: &[[f32; 3]], triangles: &mut Vec<[u32; 3]>) -> bool {
     let mut emit = |a: u32, b: u32, c: u32| {
         if a != b && b != c && c != a {
             triangles.push([a, b, c]);
         }
     };
-    if (4..=MAX_EAR_CORNERS).contains(&polygon.len()) {
+    if polygon.len() > 3 {
         let at = |v: u32| positions[v as usize].map(f64::from);
         let normal = newell_normal(polygon.iter().map(|&v| at(v)));
         let turn = |a: u32, b: u32, c: u32| dot(cross(sub(at(b), at(a)), sub(at(c), at(b))), normal);
         let n = polygon.len();
         let is_reflex = |i: usize| turn(polygon[(i + n - 1) % n], polygon[i], polygon[(i + 1) % n]) < 0.0;
         if (0..n).any(is_reflex) {
-            clip_ears(polygon, turn, &mut emit);
-            return;
+            let fits = n <= MAX_EAR_CORNERS;
+            if fits {
+                clip_ears(polygon, turn, &mut emit);
+            }
+            return fits;
         }
     }
     for k in 2..polygon.len() {
         emit(polygon[0], polygon[k - 1], polygon[k]);
     }
+    true
 }
 
 /// Cuts off one ear after the other: a corner that turns left with no other vertex in its triangle. An ear cut

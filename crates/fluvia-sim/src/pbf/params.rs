@@ -7,7 +7,7 @@ use crate::{Error, Result};
 /// longer than asked for.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Substep {
-    /// Always this long, seconds.
+    /// dt in equal parts, as few as are no longer than this, seconds.
     Fixed(f32),
     /// At most this long, seconds, and shorter while particles are fast ([`Params::travel`]).
     AtMost(f32),

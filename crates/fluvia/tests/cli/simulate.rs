@@ -114,7 +114,10 @@ fn resuming_another_run_is_refused() {
         ("simulate other.json --steps 4 --out out --resume", "scene"),
         ("simulate scene.json --steps 4 --out out --resume --seed 1", "seed"),
         ("simulate scene.json --steps 4 --out out --resume --format ply", "formats"),
-        ("simulate scene.json --steps 4 --out out --resume --solver-dt 0.002", "parameters"),
+        (
+            "simulate scene.json --steps 4 --out out --resume --solver-dt 0.002",
+            "solver_dt_max: 0.004, now: none",
+        ),
         ("simulate scene.json --steps 4 --out out", "--resume"),
     ] {
         let run = folder.run(arguments);
@@ -130,6 +133,53 @@ fn resuming_another_run_is_refused() {
     assert_eq!(std::fs::read(folder.path("out/notes.txt")).unwrap(), b"mine");
     std::fs::remove_file(folder.path("out/notes.txt")).unwrap();
     assert!(folder.files("out") == extended);
+}
+
+#[test]
+fn a_run_that_has_ended_keeps_its_record() {
+    let folder = Folder::new();
+    folder.write("scene.json", SCENE);
+    folder.succeed("simulate scene.json --steps 3 --out out");
+    let record = std::fs::read(folder.path("out/run.json")).unwrap();
+    for steps in [3, 1] {
+        let run = folder.succeed(&format!("simulate scene.json --steps {steps} --out out --resume --json"));
+        assert_eq!(run.last_json()["steps"], 3);
+        assert!(run.last_json()["ms_per_step"].as_f64().unwrap() > 0.0);
+        assert!(std::fs::read(folder.path("out/run.json")).unwrap() == record);
+    }
+    // Another kernel goes on: the record names both.
+    let mut changed: serde_json::Value = serde_json::from_slice(&record).unwrap();
+    changed["kernel"] = "abacus".into();
+    folder.write("out/run.json", changed.to_string());
+    let run = folder.succeed("simulate scene.json --steps 4 --out out --resume");
+    assert!(run.stderr.contains("abacus"), "{}", run.stderr);
+    let record: serde_json::Value =
+        serde_json::from_slice(&std::fs::read(folder.path("out/run.json")).unwrap()).unwrap();
+    assert_eq!(record["earlier"][0]["kernel"], "abacus");
+    assert_eq!(record["earlier"][0]["until_step"], 3);
+}
+
+#[test]
+fn speeds_beyond_all_measure_stay_numbers() {
+    let folder = Folder::new();
+    let body = r#""shape": "box", "scale": 0.2, "translation": [0, 0.3, 0], "velocity": [1e20, 0, 0]"#;
+    folder.write("scene.json", scene_of(body));
+    folder.run("simulate scene.json --steps 1 --out out");
+    let record: serde_json::Value =
+        serde_json::from_slice(&std::fs::read(folder.path("out/run.json")).unwrap()).unwrap();
+    let summary = &record["summary"];
+    assert!(summary.is_null() || summary["highest_speed"].is_number(), "{summary}");
+    folder.succeed("render out -o last.png --size 64");
+}
+
+#[test]
+fn fluids_that_start_too_late_are_a_warning() {
+    let folder = Folder::new();
+    let late = r#""shape": "box", "scale": 0.2, "translation": [0, 0.3, 0], "start": 5"#;
+    folder.write("scene.json", scene_of(late));
+    let run = folder.succeed("simulate scene.json --steps 3 --out out");
+    assert!(run.stderr.contains("no particles within 3 steps"), "{}", run.stderr);
+    assert!(!folder.succeed("simulate scene.json --steps 5 --out long").stderr.contains("no particles"));
 }
 
 #[test]

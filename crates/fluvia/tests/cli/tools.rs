@@ -31,14 +31,40 @@ fn pictures_sheets_and_films() {
     folder.succeed("render out -o sheet.png --size 100 --sheet 3x2");
     folder.succeed("render A=out B=out -o two.png --size 100 --frames 0,3,6 --color body");
     assert!(size("sheet.png").0 > 300 && size("two.png").0 > 300);
-    folder.succeed("render out -o film.gif --size 120 --every 2");
-    assert_eq!(&std::fs::read(folder.path("film.gif")).unwrap()[..6], b"GIF89a");
+    folder.succeed("render out -o film.gif --size 120 --every 2 --top -0.1");
+    // 2 hundredths of a second from frame to frame.
+    assert_eq!(delays(&folder, "film.gif"), [4, 4, 4, 4]);
+    folder.succeed("render out -o gaps.gif --size 120 --frames 0,1,6");
+    assert_eq!(delays(&folder, "gaps.gif"), [2, 10, 10]);
     // The same frames give the same picture.
     folder.succeed("render out -o again.png --size 200");
     assert_eq!(
         std::fs::read(folder.path("last.png")).unwrap(),
         std::fs::read(folder.path("again.png")).unwrap()
     );
+}
+
+/// The delays of a GIF's images, hundredths of a second: in the graphic control extensions.
+fn delays(folder: &Folder, name: &str) -> Vec<u16> {
+    let bytes = std::fs::read(folder.path(name)).expect("a film");
+    assert_eq!(&bytes[..6], b"GIF89a");
+    let blocks = bytes.windows(8).filter(|block| block[..3] == [0x21, 0xf9, 4] && block[7] == 0);
+    blocks.map(|block| u16::from_le_bytes([block[4], block[5]])).collect()
+}
+
+#[test]
+fn a_damaged_mesh_is_no_particle_file() {
+    let folder = Folder::new();
+    let header =
+        "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n";
+    let points = "0 0 0\n1 0 0\n0 1 0\n";
+    let face = "element face 1\nproperty list uchar int vertex_indices\nend_header\n";
+    folder.write("mesh.ply", format!("{header}{face}{points}3 0 1 9\n"));
+    let run = folder.run("inspect mesh.ply");
+    assert_eq!(run.code, Some(1));
+    assert!(run.stderr.contains("mesh.ply") && run.stderr.contains('9'), "{}", run.stderr);
+    folder.write("points.ply", format!("{header}end_header\n{points}"));
+    assert_eq!(folder.succeed("inspect points.ply --json").last_json()["particles"], 3);
 }
 
 #[test]
@@ -51,6 +77,10 @@ fn what_cannot_be_drawn() {
         ("render . -o a.png", [".", "no frames"]),
         ("render out -o none/a.png", ["none", "No such file"]),
         ("render out out -o a.gif", ["a.gif", "one directory"]),
+        ("render out -o a.png --every 2", ["--every", ".gif"]),
+        ("render out -o a.png --color body --max-speed 3", ["--max-speed", "--color speed"]),
+        ("render out -o a.png --frames 0 --sheet 3x3", ["1 frames", "9 places"]),
+        ("render out out -o a.png --sheet 3x3", ["3 rows", "2 directories"]),
     ] {
         let run = folder.run(arguments);
         assert_eq!(run.code, Some(1), "{arguments}: {}", run.stderr);
