@@ -18,8 +18,9 @@
 //! | pointwise weights | \[in, out\] | |
 //!
 //! What depends on the points alone is computed once by [`Geometry::build`] and shared by every layer on
-//! the same points; [`forward`] then applies one [`Filter`] to one set of features. [`mod@reference`] is the
-//! same in float64 as a double loop: the specification that everything here is tested against.
+//! the same points; [`forward`] then applies one [`Filter`] to one set of features, and [`backward`] gives the gradients
+//! by both; [`Geometry::backward`] those by positions, importance and window values. [`mod@reference`] is all of that in
+//! float64 as double loops: the specification that everything here is tested against.
 //!
 //! ```
 //! use cconv::{Extent, Filter, Geometry, Kernel, Options, PointSets, Workspace};

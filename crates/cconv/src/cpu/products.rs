@@ -1,5 +1,5 @@
-//! The forward pass of a layer with few output channels: the features of every input point are multiplied by
-//! all cells of the filter first, and the products [points, cells · out] are interpolated.
+//! A layer with few output channels, forward, or as the gradient of few features: the features of every input point
+//! are multiplied by all cells of the filter first, and the products [points, cells · out] are interpolated.
 //!
 //! The number of multiplications is the same as through patches, but the interpolation reads out channels a
 //! pair and cell in place of in channels.
