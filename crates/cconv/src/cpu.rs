@@ -136,7 +136,7 @@ pub struct Gradients<'a> {
     pub filter: Option<&'a mut [f32]>,
     /// By the pointwise weights, [in, out].
     pub pointwise: Option<&'a mut [f32]>,
-    /// By the bias, [out].
+    /// By the bias, \[out\].
     pub bias: Option<&'a mut [f32]>,
     /// By the features, [input points, in].
     pub features: Option<&'a mut [f32]>,

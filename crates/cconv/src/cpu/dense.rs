@@ -83,7 +83,7 @@ pub fn dense(
 pub struct DenseGradients<'a> {
     /// By the weights, [in, out].
     pub weights: Option<&'a mut [f32]>,
-    /// By the bias, [out].
+    /// By the bias, \[out\].
     pub bias: Option<&'a mut [f32]>,
     /// By the features, [points, in].
     pub features: Option<&'a mut [f32]>,

@@ -40,7 +40,7 @@ pub struct PointSets<'a> {
     pub extent: Extent<'a>,
     /// The importance m_i of each input point; 1 if absent.
     pub importance: Option<&'a [f32]>,
-    /// A window value for each pair, in the order of the neighbours, in place of [`Options::window`].
+    /// A window value for each pair, in the order of the neighbours, in place of [`Options::window`](crate::Options::window).
     pub window_values: Option<&'a [f32]>,
     /// Where the input points of each cloud start, if they are several clouds: clouds + 1 entries, the last the
     /// number of points. Empty for one cloud.
