@@ -234,31 +234,17 @@ pub(crate) struct Outer<'a, T = f32> {
     pub c_stride: usize,
 }
 
-impl Outer<'_, Bf16> {
+impl<T> Outer<'_, T> {
+    /// `each` is how many values stand in the place of one: 1, or 2 in bfloat16.
+    ///
     /// # Panics
     /// If the slices are too short, so that a kernel can work with pointers after this.
     #[inline(always)]
-    fn validate_pairs(&self) {
+    fn validate(&self, each: usize) {
         let Outer { rows, depth, width, a_stride, c_stride, .. } = *self;
         assert!(rows.is_multiple_of(4) && is_panel(width), "a tile's shape");
-        assert!(
-            depth == 0 || self.a.len() >= (depth - 1) * a_stride + 2 * rows,
-            "{depth} pairs of rows of a"
-        );
-        assert!(self.b.len() >= 2 * depth * width, "a whole panel of b");
-        assert!(rows == 0 || self.c.len() >= (rows - 1) * c_stride + width, "{rows} rows of c");
-    }
-}
-
-impl Outer<'_> {
-    /// # Panics
-    /// If the slices are too short, so that a kernel can work with pointers after this.
-    #[inline(always)]
-    fn validate(&self) {
-        let Outer { rows, depth, width, a_stride, c_stride, .. } = *self;
-        assert!(rows.is_multiple_of(4) && is_panel(width), "a tile's shape");
-        assert!(depth == 0 || self.a.len() >= (depth - 1) * a_stride + rows, "{depth} rows of a");
-        assert!(self.b.len() >= depth * width, "a whole panel of b");
+        assert!(depth == 0 || self.a.len() >= (depth - 1) * a_stride + each * rows, "{depth} rows of a");
+        assert!(self.b.len() >= each * depth * width, "a whole panel of b");
         assert!(rows == 0 || self.c.len() >= (rows - 1) * c_stride + width, "{rows} rows of c");
     }
 }

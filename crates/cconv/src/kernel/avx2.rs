@@ -75,7 +75,7 @@ impl InstructionSet for Avx2 {
 
     #[inline(always)]
     fn multiply_outer(outer: Outer<'_>) {
-        outer.validate();
+        outer.validate(1);
         // SAFETY: as above.
         unsafe { outer_tiles(outer) }
     }
@@ -106,15 +106,8 @@ unsafe fn tiles(product: Product<'_>) {
                     }
                 }
             }
-            for (r, sums) in sums.iter().enumerate() {
-                for (v, sum) in sums.iter().enumerate() {
-                    // SAFETY: as above.
-                    unsafe {
-                        let c = c.as_mut_ptr().add((row + r) * c_stride + column + 8 * v);
-                        _mm256_storeu_ps(c, _mm256_add_ps(_mm256_loadu_ps(c), *sum));
-                    }
-                }
-            }
+            // SAFETY: as above.
+            unsafe { add_tile(&sums, c.as_mut_ptr().add(row * c_stride + column), c_stride) };
         }
     }
 }
@@ -147,14 +140,25 @@ unsafe fn outer_tiles(outer: Outer<'_>) {
                     }
                 }
             }
-            for (r, sums) in sums.iter().enumerate() {
-                for (v, sum) in sums.iter().enumerate() {
-                    // SAFETY: as above.
-                    unsafe {
-                        let c = c.as_mut_ptr().add((row + r) * c_stride + column + 8 * v);
-                        _mm256_storeu_ps(c, _mm256_add_ps(_mm256_loadu_ps(c), *sum));
-                    }
-                }
+            // SAFETY: as above.
+            unsafe { add_tile(&sums, c.as_mut_ptr().add(row * c_stride + column), c_stride) };
+        }
+    }
+}
+
+/// c += sums.
+///
+/// # Safety
+/// The processor must have AVX2, and `c` R rows of a tile's columns.
+#[target_feature(enable = "avx2,fma")]
+#[inline]
+unsafe fn add_tile<const R: usize>(sums: &[[__m256; TILE_VECTORS]; R], c: *mut f32, c_stride: usize) {
+    for (r, sums) in sums.iter().enumerate() {
+        for (v, sum) in sums.iter().enumerate() {
+            // SAFETY: as the caller promises.
+            unsafe {
+                let c = c.add(r * c_stride + 8 * v);
+                _mm256_storeu_ps(c, _mm256_add_ps(_mm256_loadu_ps(c), *sum));
             }
         }
     }

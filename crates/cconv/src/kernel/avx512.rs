@@ -6,7 +6,7 @@ use super::{Bf16, InstructionSet, Operation, Outer, Product, avx512_bf16, bf16, 
 
 /// How many rows of weights ahead are asked for: a panel streams from the second-level cache, and its own
 /// prefetcher is a little late. Measured between 6 and 40, with no difference.
-const PREFETCH_ROWS: usize = 12;
+pub const PREFETCH_ROWS: usize = 12;
 
 /// With `BF16` the matrix products in bfloat16 have instructions too.
 pub struct Avx512<const BF16: bool>;
@@ -94,7 +94,7 @@ impl<const BF16: bool> InstructionSet for Avx512<BF16> {
 
     #[inline(always)]
     fn multiply_outer(outer: Outer<'_>) {
-        outer.validate();
+        outer.validate(1);
         // SAFETY: as above.
         unsafe {
             match outer.width {
@@ -202,6 +202,21 @@ unsafe fn tile<const R: usize, const V: usize>(
             b = b.add(16 * V);
         }
     }
+    // SAFETY: as the caller promises.
+    unsafe { add_tile(&sums, c, c_stride) };
+}
+
+/// c += sums.
+///
+/// # Safety
+/// The processor must have AVX-512F, and `c` R rows of 16 V floats.
+#[target_feature(enable = "avx512f")]
+#[inline]
+pub unsafe fn add_tile<const R: usize, const V: usize>(
+    sums: &[[__m512; V]; R],
+    c: *mut f32,
+    c_stride: usize,
+) {
     for (r, sums) in sums.iter().enumerate() {
         for (v, sum) in sums.iter().enumerate() {
             // SAFETY: as the caller promises.
@@ -214,7 +229,7 @@ unsafe fn tile<const R: usize, const V: usize>(
 }
 
 /// Rows of a tile of [`outer_tiles`].
-const OUTER_ROWS: usize = 4;
+pub const OUTER_ROWS: usize = 4;
 
 /// Goes through the rows in tiles of V vectors of columns.
 ///
@@ -239,14 +254,7 @@ unsafe fn outer_tiles<const V: usize>(outer: Outer<'_>) {
                 }
             }
         }
-        for (r, sums) in sums.iter().enumerate() {
-            for (v, sum) in sums.iter().enumerate() {
-                // SAFETY: as above.
-                unsafe {
-                    let c = c.as_mut_ptr().add((row + r) * c_stride + 16 * v);
-                    _mm512_storeu_ps(c, _mm512_add_ps(_mm512_loadu_ps(c), *sum));
-                }
-            }
-        }
+        // SAFETY: as above.
+        unsafe { add_tile(&sums, c.as_mut_ptr().add(row * c_stride), c_stride) };
     }
 }

@@ -2,10 +2,8 @@
 
 use std::arch::x86_64::*;
 
+use super::avx512::{OUTER_ROWS, PREFETCH_ROWS, add_tile};
 use super::{Bf16, Outer, Product, bf16};
-
-/// How many rows of weights ahead are asked for, see `avx512.rs`.
-const PREFETCH_ROWS: usize = 12;
 
 /// # Safety
 /// The processor must have AVX-512 F, BW and BF16.
@@ -62,7 +60,7 @@ unsafe fn tiles<const R: usize, const V: usize>(product: Product<'_, Bf16>) {
 /// The processor must have AVX-512 F, BW and BF16.
 #[target_feature(enable = "avx512f,avx512bw,avx512bf16")]
 pub unsafe fn multiply_outer(outer: Outer<'_, Bf16>) {
-    outer.validate_pairs();
+    outer.validate(2);
     // SAFETY: as the caller promises; the lengths were validated.
     unsafe {
         match outer.width {
@@ -73,9 +71,6 @@ pub unsafe fn multiply_outer(outer: Outer<'_, Bf16>) {
         }
     }
 }
-
-/// Rows of a tile of [`outer_tiles`].
-const OUTER_ROWS: usize = 4;
 
 /// Goes through the rows in tiles of V vectors of columns.
 ///
@@ -102,24 +97,6 @@ unsafe fn outer_tiles<const V: usize>(outer: Outer<'_, Bf16>) {
         }
         // SAFETY: as above.
         unsafe { add_tile(&sums, c.as_mut_ptr().add(row * c_stride), c_stride) };
-    }
-}
-
-/// c += sums.
-///
-/// # Safety
-/// The processor must have AVX-512F, and `c` R rows of 16 V floats.
-#[target_feature(enable = "avx512f")]
-#[inline]
-unsafe fn add_tile<const R: usize, const V: usize>(sums: &[[__m512; V]; R], c: *mut f32, c_stride: usize) {
-    for (r, sums) in sums.iter().enumerate() {
-        for (v, sum) in sums.iter().enumerate() {
-            // SAFETY: as the caller promises.
-            unsafe {
-                let c = c.add(r * c_stride + 16 * v);
-                _mm512_storeu_ps(c, _mm512_add_ps(_mm512_loadu_ps(c), *sum));
-            }
-        }
     }
 }
 

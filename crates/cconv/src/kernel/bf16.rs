@@ -48,7 +48,7 @@ pub fn multiply(product: Product<'_, Bf16>) {
 
 #[inline(always)]
 pub fn multiply_outer(outer: Outer<'_, Bf16>) {
-    outer.validate_pairs();
+    outer.validate(2);
     let Outer { rows, depth, width, a, a_stride, b, c, c_stride } = outer;
     for row in 0..rows {
         let c = &mut c[row * c_stride..][..width];

@@ -140,7 +140,7 @@ impl InstructionSet for Portable {
     }
 
     fn multiply_outer(outer: Outer<'_>) {
-        outer.validate();
+        outer.validate(1);
         let Outer { rows, depth, width, a, a_stride, b, c, c_stride } = outer;
         for row in (0..rows).step_by(TILE_ROWS) {
             for column in (0..width).step_by(TILE_COLUMNS) {
