@@ -22,6 +22,8 @@
 //! by both; [`Geometry::backward`] those by positions, importance and window values. [`mod@reference`] is all of that in
 //! float64 as double loops: the specification that everything here is tested against.
 //!
+//! The feature `burn` adds the module `burn`: the operator as a differentiable layer of that tensor framework.
+//!
 //! ```
 //! use cconv::{Extent, Filter, Geometry, Kernel, Options, PointSets, Workspace};
 //! use fluvia_neighbors::{Grid, Neighbors, Radius};
@@ -53,6 +55,8 @@
 struct OperatorPage;
 
 mod aligned;
+#[cfg(feature = "burn")]
+pub mod burn;
 mod cpu;
 mod filter;
 mod geometry;
