@@ -60,7 +60,7 @@ fn operator(c: &mut Criterion) {
                     output_positions: Some(&mut by_output),
                     ..PointGradients::default()
                 };
-                geometry.backward(&options, black_box(&sets), &pairs, gradients);
+                geometry.backward(black_box(&sets), &pairs, gradients);
             });
         });
         for (inputs, outputs) in [(4, 32), (96, 64), (64, 64), (64, 3)] {

@@ -397,7 +397,9 @@ impl Call {
         }
         let by_points = points.contains(&true);
         let mut pairs = PairGradient::default();
-        pairs.reset(&geometry);
+        if by_points {
+            pairs.reset(&geometry);
+        }
         let mut gradients: [Option<Vec<f32>>; OPERANDS] =
             std::array::from_fn(|k| tracked[k].then(|| vec![0.0; values(&operands[k]).len()]));
         let wanted = gradients.each_mut().map(|gradient| gradient.as_deref_mut());
@@ -413,7 +415,7 @@ impl Call {
                 input_positions: inputs.map(|sums| sums.as_chunks_mut().0),
                 output_positions: outputs.map(|sums| sums.as_chunks_mut().0),
             };
-            geometry.backward(&plan.options, &plan.sets(&operands), &pairs, wanted);
+            geometry.backward(&plan.sets(&operands), &pairs, wanted);
         }
         gradients
     }

@@ -136,8 +136,8 @@ pub enum Precision {
     #[default]
     F32,
     /// bfloat16, which has the range of float32 and 8 bits of precision: about twice as fast where the processor has
-    /// instructions for it (AVX512-BF16), and slow elsewhere. Layers with up to 8 outputs, whose products are
-    /// small, keep float32.
+    /// instructions for it (AVX512-BF16), and slow elsewhere. The forward pass of layers with
+    /// up to 8 outputs and more inputs than that, whose products are small, keeps float32.
     Bf16,
 }
 
@@ -172,7 +172,13 @@ impl Filter {
     /// # Panics
     /// If the number of weights is another, or a dimension is zero.
     pub fn new(options: &Options, in_channels: usize, out_channels: usize, weights: &[f32]) -> Filter {
-        Self::build(options.cells(), in_channels, out_channels, weights.to_vec(), Vec::new(), Precision::F32)
+        let cells = options.cells();
+        assert_eq!(
+            weights.len(),
+            cells * in_channels * out_channels,
+            "weights of {cells} cells x {in_channels} x {out_channels}"
+        );
+        Self::build(cells, in_channels, out_channels, weights.to_vec(), Vec::new(), Precision::F32)
     }
 
     /// The same filter, multiplied in another format.

@@ -14,6 +14,7 @@ use fluvia_neighbors::{Neighbors, Transpose};
 use rayon::prelude::*;
 
 pub use backward::{PairGradient, PointGradients};
+pub(crate) use points::boundaries;
 pub use points::{Extent, PointSets};
 
 use crate::filter::grid_coordinate;
@@ -68,6 +69,8 @@ pub(crate) struct Transposed {
 /// The geometry of all pairs of a set of points. Its memory is reused from build to build.
 #[derive(Clone, Debug, Default)]
 pub struct Geometry {
+    /// Those of the build.
+    options: Options,
     /// The input points of every output point.
     pub(crate) lists: Lists,
     /// The window values divided by ψ and the ψ of each row, if they are normalised.
@@ -83,7 +86,7 @@ impl Geometry {
     ///
     /// # Panics
     /// If lengths in `sets` do not fit each other, if a neighbour's index is out of range, if an extent is not
-    /// a positive number, or if the filter has more than 65,536 cells or none.
+    /// a positive number or a position not finite, or if the filter has more than 65,536 cells or none.
     pub fn build(&mut self, options: &Options, sets: &PointSets<'_>, kernel: Kernel) {
         sets.validate();
         let cells = options.cells();
@@ -93,6 +96,7 @@ impl Geometry {
         let along = [(width, 1), (height, width), (depth, width * height)]
             .map(|(size, stride)| if size > 1 { stride } else { 0 });
         self.is_prepared = false;
+        self.options = options.clone();
         self.windows.clear();
         if options.normalize {
             self.windows.resize(pairs, 0.0);
@@ -121,8 +125,8 @@ impl Geometry {
         });
     }
 
-    /// Sorts the pairs by input point as well, which [`backward`](crate::backward) and [`Geometry::backward`]
-    /// need. Does nothing the second time.
+    /// Sorts the pairs by input point as well. The gradients of features, importance and input positions need that,
+    /// and a filter's is often cheaper with it. Does nothing the second time.
     pub fn prepare_backward(&mut self) {
         if self.is_prepared {
             return;
@@ -163,11 +167,6 @@ impl Geometry {
         assert!(self.is_prepared, "a backward pass needs Geometry::prepare_backward after the build");
         &self.transposed
     }
-}
-
-/// Where clouds start; without any, all points are one.
-pub(crate) fn boundaries(clouds: &[usize], points: usize) -> Vec<usize> {
-    if clouds.is_empty() { vec![0, points] } else { clouds.to_vec() }
 }
 
 /// Divides the window values of each row by their sum, ψ of Eq. 9, if that is not zero.

@@ -65,6 +65,9 @@ mod mapping;
 pub mod reference;
 mod window;
 
+/// The search that makes the neighbour lists; its types are part of this crate's interface.
+pub use fluvia_neighbors;
+
 pub use cpu::{
     Columns, Dense, DenseGradients, Gradients, Workspace, backward, dense, dense_backward, forward,
     forward_into,

@@ -265,6 +265,15 @@ fn check(options: &Options, sets: &Sets, weights: &Weights<'_>, features: &[f64]
     assert_eq!(sets.extent.len(), sets.outputs.len(), "an extent for each output point");
     assert_eq!(features.len(), sets.inputs.len() * inputs, "features are [input points, in channels]");
     assert_eq!(weights.filter.len(), options.cells() * inputs * outputs, "the filter's size");
+    let lengths = [
+        (weights.bias, outputs, "one bias per output channel"),
+        (weights.pointwise, inputs * outputs, "pointwise weights are [in, out]"),
+        (sets.importance.as_deref(), sets.inputs.len(), "one importance per input point"),
+        (sets.window_values.as_deref(), sets.neighbors.indices.len(), "one window value per pair"),
+    ];
+    for (values, expected, what) in lengths {
+        assert!(values.is_none_or(|values| values.len() == expected), "{what}: expected {expected}");
+    }
 }
 
 /// output += scale · f · g, with g of shape [in, out].

@@ -100,9 +100,11 @@ fn layers_that_do_not_fit_are_refused() {
     let (features, by_output) = ([0.0; 6], [0.0; 6]);
     let workspace = &mut Workspace::default();
 
-    refuses(&["383 weights", "64 cells x 2 x 3"], || {
-        Filter::new(&options, 2, 3, &[0.0; 64 * 6 - 1]);
-    });
+    for count in [64 * 6 - 1, 65 * 6] {
+        refuses(&[&count.to_string(), "384", "64 cells x 2 x 3"], || {
+            Filter::new(&options, 2, 3, &vec![0.0; count]);
+        });
+    }
     refuses(&["one bias per output channel", "2", "3"], || {
         filter.clone().with_bias(&[0.0; 2]);
     });
@@ -162,15 +164,19 @@ fn layers_that_do_not_fit_are_refused() {
     refuses(&["one derivative per point", "2", "3"], || {
         let wanted =
             PointGradients { input_positions: Some(&mut [[0.0; 3]; 2]), ..PointGradients::default() };
-        geometry.backward(&options, &sets, &pairs, wanted);
+        geometry.backward(&sets, &pairs, wanted);
     });
     refuses(&["points of the build", "(3, 2)", "(3, 3)"], || {
         let list = neighbors(&[1, 2, 0], &[0, 2, 3, 3]);
         let sets = PointSets::new(&POINTS, &POINTS, &list, Extent::Uniform(1.0));
-        geometry.backward(&options, &sets, &pairs, PointGradients::default());
+        geometry.backward(&sets, &pairs, PointGradients::default());
     });
 
     let dense = Dense::new(2, &[0.0; 6], &[0.0; 3]);
+    refuses(&["clouds", "2 points", "[0, 1]"], || {
+        let (wanted, workspace) = (DenseGradients::default(), &mut Workspace::default());
+        cconv::dense_backward(&dense, &[0.0; 4], &[0.0; 6], &[0, 1], wanted, workspace, Kernel::detect());
+    });
     refuses(&["gradients of 2 points, 3 channels", "5", "6"], || {
         let (wanted, workspace) = (DenseGradients::default(), &mut Workspace::default());
         cconv::dense_backward(&dense, &[0.0; 4], &[0.0; 5], &[], wanted, workspace, Kernel::detect());
@@ -180,10 +186,36 @@ fn layers_that_do_not_fit_are_refused() {
     });
 }
 
-/// Numbers that are none go through every kernel, both ways, without a panic and without a read out of bounds: what
-/// comes out is of the right size, and that is all that is promised.
+/// Values that are no numbers show in what is computed from them; positions that are none are refused.
 #[test]
-fn numbers_that_are_none_stay_within_bounds() {
+fn numbers_that_are_none_are_seen_or_refused() {
+    let list = neighbors(&[1, 2, 0], &[0, 2, 3]);
+    for bad in [f32::NAN, f32::INFINITY] {
+        let points = [[0.0; 3], [0.1, bad, 0.0], [0.0, 0.2, 0.0]];
+        refuses(&["input point 1", "finite"], || {
+            built(&PointSets::new(&points, &POINTS[..2], &list, Extent::Uniform(1.0)));
+        });
+        refuses(&["output point 1", "finite"], || {
+            built(&PointSets::new(&POINTS, &points[..2], &list, Extent::Uniform(1.0)));
+        });
+        let options = Options::default();
+        for kernel in Kernel::available() {
+            let sets = PointSets::new(&POINTS, &POINTS[..2], &list, Extent::Uniform(1.0));
+            let mut geometry = Geometry::default();
+            geometry.build(&options, &sets, kernel);
+            let filter = Filter::new(&options, 1, 1, &[0.1; 64]);
+            let mut output = [0.0; 2];
+            let workspace = &mut Workspace::default();
+            cconv::forward(&geometry, &filter, &[1.0, bad, 1.0], &mut output, workspace);
+            assert!(!output[0].is_finite() && output[1].is_finite(), "{output:?}");
+        }
+    }
+}
+
+/// Numbers that are none, and positions as far apart as they can be, go through every kernel, both ways, without a panic
+/// and without a read out of bounds.
+#[test]
+fn absurd_numbers_stay_within_bounds() {
     let mut numbers = Numbers(1);
     let parts =
         Parts { extent: EXTENTS[2], importance: true, window_values: false, bias: true, pointwise: false };
@@ -192,9 +224,10 @@ fn numbers_that_are_none_stay_within_bounds() {
             let (inputs, outputs) = (numbers.points(20), numbers.points(9));
             let mut problem = Problem::new(&mut numbers, options.clone(), inputs, outputs, (9, 5), parts);
             // After the search, which would not find them.
-            problem.inputs[3] = [bad, 0.1, 0.1];
-            problem.inputs[4] = [bad; 3];
-            problem.outputs[1] = [0.0, 0.0, bad];
+            let far = if bad.is_finite() { bad } else { f32::MAX };
+            problem.inputs[3] = [far, 0.1, 0.1];
+            problem.inputs[4] = [far; 3];
+            problem.outputs[1] = [0.0, 0.0, -far];
             problem.features[17] = bad;
             problem.filter[40] = bad;
             problem.output_gradient[7] = bad;

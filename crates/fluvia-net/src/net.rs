@@ -169,7 +169,11 @@ impl Network {
 
     /// Prepares wall particles for this network. `clouds` says where those of each cloud start: clouds + 1
     /// entries, the last the number of wall particles.
+    ///
+    /// # Panics
+    /// If there is not a normal for each position, or if the clouds do not ascend from 0 to their number.
     pub fn walls(&self, position: &[Point], normal: &[Point], clouds: &[usize]) -> Walls {
+        assert_eq!(normal.len(), position.len(), "a normal for each wall particle");
         let mut grids = Grids::new();
         grids.build(position, clouds, self.config.filter_radius);
         // In the order of the cells, so that neighbours are near in memory.
@@ -292,11 +296,16 @@ fn pad_inputs(kernel: &[f32], inputs: usize, outputs: usize, padded: usize) -> V
     kernel.chunks_exact(inputs * outputs).flat_map(|cell| cell.iter().chain(&zeros)).copied().collect()
 }
 
+/// Keeps what is no number: it must show in the output.
+fn relu(x: f32) -> f32 {
+    if x < 0.0 { 0.0 } else { x }
+}
+
 /// to = relu(from).
 fn activate(from: &[f32], to: &mut Vec<f32>) {
     to.resize(from.len(), 0.0);
     to.par_chunks_mut(TASK_VALUES).zip(from.par_chunks(TASK_VALUES)).for_each(|(to, from)| {
-        to.iter_mut().zip(from).for_each(|(to, from)| *to = from.max(0.0));
+        to.iter_mut().zip(from).for_each(|(to, from)| *to = relu(*from));
     });
 }
 

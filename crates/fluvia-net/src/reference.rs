@@ -171,7 +171,7 @@ impl Trace {
         let mut values = vec![first.collect::<Vec<f64>>()];
         for place in network.layers() {
             let before = &values[values.len() - 1];
-            let activated: Vec<f64> = before.iter().map(|x| x.max(0.0)).collect();
+            let activated: Vec<f64> = before.iter().map(|&x| relu(x)).collect();
             let mut next = network.convolve(place, &self.fluid, &activated);
             add(&mut next, &network.fully_connected(place + 2, &activated));
             if network.is_residual(place) {
@@ -245,7 +245,7 @@ impl Trace {
     ) -> (Vec<f64>, Vec<[f64; 3]>) {
         let mut by_x_star = vec![[0.0; 3]; self.x_star.len()];
         for (place, before) in network.layers().zip(&self.values).rev() {
-            let activated: Vec<f64> = before.iter().map(|x| x.max(0.0)).collect();
+            let activated: Vec<f64> = before.iter().map(|&x| relu(x)).collect();
             let layer = network.convolve_backward(place, &self.fluid, &activated, &by_values, tensors);
             add_points(&mut by_x_star, &layer.input_positions);
             add_points(&mut by_x_star, &layer.output_positions);
@@ -392,6 +392,11 @@ impl Network {
         }
         by_features
     }
+}
+
+/// Keeps what is no number.
+fn relu(x: f64) -> f64 {
+    if x < 0.0 { 0.0 } else { x }
 }
 
 fn add(to: &mut [f64], from: &[f64]) {

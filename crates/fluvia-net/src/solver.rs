@@ -33,8 +33,8 @@ impl NetSolver {
     /// if it had the viscosity of its training data.
     ///
     /// # Errors
-    /// `Parameter` if the network has an input other than the viscosity, its layers do not fit, or there is not a
-    /// normal for each wall particle.
+    /// `Parameter` if the network has an input other than the viscosity, its layers do not fit, there is not a
+    /// normal for each wall particle, or a viscosity is not finite.
     pub fn new(
         weights: &Weights,
         boundary: &Boundary,
@@ -44,6 +44,9 @@ impl NetSolver {
         let (walls, normals) = (boundary.position.len(), boundary.normal.len());
         if walls != normals {
             return Err(Error::Parameter(format!("{normals} normals for {walls} wall particles")));
+        }
+        if let Some(value) = viscosity.iter().flatten().find(|value| !value.is_finite()) {
+            return Err(Error::Parameter(format!("viscosity {value}, expected a finite number")));
         }
         let network = Network::new(weights, kernel)?;
         let config = network.config();
@@ -131,6 +134,15 @@ impl Solver for NetSolver {
         let world = World { extra: &self.extra, acceleration, clouds: &[0, particles.len()] };
         let state = (particles.position.as_slice(), particles.velocity.as_slice());
         let NetSolver { network, walls, memory, step, .. } = self;
+        if !step.predicts_finite(network, state, acceleration) {
+            // Too fast for float32: the caller sees by the positions which particles.
+            particles.position.clone_from(&step.predicted().position);
+            return Ok(StepInfo {
+                substeps: 1,
+                max_neighbors: 0,
+                neighbor_radius: network.config().filter_radius,
+            });
+        }
         step.forward(network, state, world, walls, Activations::Drop, memory);
         step.correct(network, &mut particles.position, &mut particles.velocity);
         Ok(StepInfo {

@@ -58,10 +58,26 @@ impl Step {
         network.search(&self.sorted, world.clouds, walls, &mut self.pass, memory);
     }
 
+    /// Applies Eq. 10 and 11 alone: whether all x* are finite, as [`Step::forward`] needs them.
+    pub(crate) fn predicts_finite(
+        &mut self,
+        network: &Network,
+        (position, velocity): (&[Point], &[Point]),
+        acceleration: Acceleration<'_>,
+    ) -> bool {
+        predict(position, velocity, acceleration, network.config().dt, &mut self.predicted);
+        self.predicted.position.as_flattened().iter().all(|x| x.is_finite())
+    }
+
+    /// x* and v* of Eq. 10 and 11.
+    pub(crate) fn predicted(&self) -> &State {
+        &self.predicted
+    }
+
     /// Runs the network on a state.
     ///
     /// # Panics
-    /// If lengths do not fit each other.
+    /// If lengths do not fit each other, or if a position is not finite after Eq. 11.
     pub fn forward(
         &mut self,
         network: &Network,
@@ -104,6 +120,8 @@ impl Step {
         let config = network.config();
         let StepGradients { tensors, extra, state, positions } = gradients;
         let count = self.order.len();
+        assert_eq!(by_next.position.len(), count, "a derivative by the position of each particle");
+        assert_eq!(by_next.velocity.len(), count, "a derivative by the velocity of each particle");
         let (inputs, outputs) = (config.fluid_inputs(), config.integration.outputs());
         let mut by_output = vec![0.0; count * outputs];
         let mut corrected = Vec::with_capacity(count);

@@ -40,7 +40,8 @@ impl Unroll {
     /// Runs `count` steps from `start`. The result is in [`Unroll::states`].
     ///
     /// # Panics
-    /// If lengths do not fit each other, or if there are other numbers of clouds of particles and of walls.
+    /// If lengths do not fit each other, if there are other numbers of clouds of particles and of walls, or if a
+    /// position is not finite after Eq. 11.
     pub fn forward(
         &mut self,
         network: &Network,

@@ -117,12 +117,40 @@ fn what_does_not_fit_is_refused() {
     let boundary = Boundary { position: vec![[0.0; 3]; 2], normal: vec![[0.0, 1.0, 0.0]] };
     let error = NetSolver::new(&weights, &boundary, &[None], Kernel::detect()).unwrap_err();
     assert_eq!(error.to_string(), "1 normals for 2 wall particles");
+    let error =
+        NetSolver::new(&weights, &Boundary::default(), &[Some(f32::NAN)], Kernel::detect()).unwrap_err();
+    assert_eq!(error.to_string(), "viscosity NaN, expected a finite number");
     let mut solver = NetSolver::new(&weights, &Boundary::default(), &[None], Kernel::detect()).unwrap();
     let mut start = particles(3, &mut numbers);
     let error = solver.step(&mut start, Acceleration::PerParticle(&[[0.0; 3]; 2]), dt).unwrap_err();
     assert_eq!(error.to_string(), "2 accelerations for 3 particles");
     let error = solver.step(&mut start, Acceleration::Uniform([0.0; 3]), dt).unwrap_err();
     assert_eq!(error.to_string(), "a particle of body 1, but there are viscosities for 1 bodies");
+}
+
+/// What is no number must reach the positions, where a rollout looks for it: neither a relu nor a clamp may hide it.
+#[test]
+fn numbers_that_are_none_show_in_the_positions() {
+    let mut numbers = Numbers(6);
+    let weights = weights(Integration::Paper, &[], &mut numbers);
+    let rest = Acceleration::Uniform([0.0; 3]);
+    let start = particles(12, &mut numbers);
+    for kernel in Kernel::available() {
+        // So far and fast that x* is no float32.
+        let mut fast = start.clone();
+        (fast.position[3], fast.velocity[3]) = ([f32::MAX; 3], [f32::MAX; 3]);
+        // Weights so large that sums overflow.
+        let mut large = weights.clone();
+        large.fluid_dense.weight.fill(f32::MAX);
+        let mut moving = start.clone();
+        moving.velocity[3] = [1.0; 3];
+        for (weights, mut particles) in [(&weights, fast), (&large, moving)] {
+            let mut solver = NetSolver::new(weights, &Boundary::default(), &[None], kernel).unwrap();
+            solver.step(&mut particles, rest, weights.config.dt).unwrap();
+            let position = &particles.position;
+            assert!(position.iter().flatten().any(|x| !x.is_finite()), "{}: {position:?}", kernel.name());
+        }
+    }
 }
 
 /// The published layers leave out what is at distance zero, wall particles too: Open3D gives a particle that

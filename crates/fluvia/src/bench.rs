@@ -49,7 +49,8 @@ pub struct Args {
     /// Repeat the state and its walls side by side along x.
     #[arg(long, value_name = "N", default_value = "1")]
     tile: NonZeroUsize,
-    /// Take so many copies of the state in one call, each a cloud of its own.
+    /// Take so many copies of the state, each a cloud of its own, in one call; train-step takes as many at a time as
+    /// are at most 16,384 particles, and adds their gradients.
     #[arg(long, value_name = "B", default_value = "1")]
     batch: NonZeroUsize,
     /// Threads; all cores if not given.
@@ -80,11 +81,16 @@ struct Timing {
     particles: usize,
     batch: usize,
     stage: Stage,
+    precision: &'static str,
+    kernel: &'static str,
     threads: usize,
 }
 
 pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
     thread_pool(args.threads)?.install(|| {
+        if matches!(args.stage, Stage::Neighbors) && args.precision != PrecisionName::F32 {
+            bail!("--precision: the search multiplies nothing, expected it with --stage step or train-step");
+        }
         let weights = weights::load(&args.weights)?;
         let copies = (args.tile.get(), args.batch.get());
         let (particles, boundary) = load(&args.state, &weights.config, copies)?;
@@ -102,6 +108,8 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
             particles: particles.len(),
             batch: args.batch.get(),
             stage: args.stage,
+            precision: args.precision.name(),
+            kernel: bench.network.kernel().name(),
             threads: rayon::current_num_threads(),
         };
         if !args.json && !report.is_quiet() {

@@ -68,24 +68,18 @@ const EMPTY: PairBlock =
 
 impl Geometry {
     /// Adds the derivatives by the points to `gradients`, from those by the weights of the pairs, which
-    /// [`backward`](crate::backward) sums over layers. `options` and `sets` are those of the build.
+    /// [`backward`](crate::backward) sums over layers. `sets` are those of the build.
     ///
     /// Where there is no derivative one is chosen. At the centre of a filter cell it is that towards the next cell, at
     /// the last centre of [`Interpolation::Linear`](crate::Interpolation) that towards the one before, beyond
     /// the outermost centres 0; on a seam of a mapping that of the piece which the mapping itself takes; 0 for
-    /// coincident points, across the axis of the volume-preserving map, and at the kinks of the triangular window.
+    /// coincident points (but of the identity), across the axis of the volume-preserving map, and at the kinks of the triangular window.
     ///
     /// # Panics
     /// If `sets` is not of the size of those of the build, if a length does not fit, or if
     /// derivatives by input points are asked for without [`Geometry::prepare_backward`].
-    pub fn backward(
-        &self,
-        options: &Options,
-        sets: &PointSets<'_>,
-        pairs: &PairGradient,
-        gradients: PointGradients<'_>,
-    ) {
-        let lists = &self.lists;
+    pub fn backward(&self, sets: &PointSets<'_>, pairs: &PairGradient, gradients: PointGradients<'_>) {
+        let (lists, options) = (&self.lists, &self.options);
         sets.validate();
         assert_eq!(sets.neighbors.indices.len(), lists.neighbors.indices.len(), "pairs of the build");
         assert_eq!(

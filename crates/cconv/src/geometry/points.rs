@@ -76,7 +76,8 @@ impl<'a> PointSets<'a> {
     }
 
     /// # Panics
-    /// If a length or a neighbour's index does not fit the points, or an extent is not a positive number.
+    /// If a length or a neighbour's index does not fit the points, an extent is not a positive number, or a position is
+    /// not finite.
     pub(crate) fn validate(&self) {
         let (inputs, outputs) = (self.inputs.len(), self.outputs.len());
         let splits = &self.neighbors.row_splits;
@@ -106,13 +107,35 @@ impl<'a> PointSets<'a> {
             assert_eq!(values.len(), pairs, "one window value per pair");
         }
         assert_eq!(self.input_clouds.len(), self.output_clouds.len(), "input and output clouds");
-        for (clouds, points) in [(self.input_clouds, inputs), (self.output_clouds, outputs)] {
-            let ends = (clouds.first(), clouds.last());
-            assert!(
-                clouds.is_empty() || ends == (Some(&0), Some(&points)) && clouds.is_sorted(),
-                "clouds must ascend from 0 to {points} points, but are {ends:?}"
-            );
-        }
+        check_positions("input", self.inputs);
+        check_positions("output", self.outputs);
+    }
+}
+
+/// Where clouds start; without any, all points are one.
+///
+/// # Panics
+/// If they do not ascend from 0 to the number of points.
+pub(crate) fn boundaries(clouds: &[usize], points: usize) -> Vec<usize> {
+    if clouds.is_empty() {
+        return vec![0, points];
+    }
+    let ends = (clouds.first(), clouds.last());
+    assert!(
+        ends == (Some(&0), Some(&points)) && clouds.is_sorted(),
+        "clouds must ascend from 0 to {points} points, but are {clouds:?}"
+    );
+    clouds.to_vec()
+}
+
+fn check_positions(name: &str, points: &[Point]) {
+    // One pass that compilers make vectors of; the point is looked for only if there is one.
+    if points.as_flattened().iter().all(|x| x.is_finite()) {
+        return;
+    }
+    let found = points.iter().enumerate().find(|(_, point)| point.iter().any(|x| !x.is_finite()));
+    if let Some((row, point)) = found {
+        panic!("{name} point {row} is at {point:?}, expected finite positions");
     }
 }
 

@@ -307,7 +307,7 @@ pub fn add_gradients(
         input_positions: Some(&mut gradients.input_positions),
         output_positions: Some(&mut gradients.output_positions),
     };
-    geometry.backward(&problem.options, &problem.sets(), &pairs, wanted);
+    geometry.backward(&problem.sets(), &pairs, wanted);
     AllGradients {
         features: [before.features, gradients.features].concat(),
         importance: [before.importance, gradients.importance].concat(),

@@ -149,7 +149,7 @@ impl Network {
                 output_positions: Some(&mut by_outputs),
                 ..PointGradients::default()
             };
-            pass.fluid_geometry.backward(&self.options, &fluid_sets, pairs, wanted);
+            pass.fluid_geometry.backward(&fluid_sets, pairs, wanted);
             add(by_positions.as_flattened_mut(), by_outputs.as_flattened());
             pairs.reset(&pass.wall_geometry);
         }
@@ -173,7 +173,7 @@ impl Network {
         }
         if let Some(by_positions) = by_positions {
             let wanted = PointGradients { output_positions: Some(by_positions), ..PointGradients::default() };
-            pass.wall_geometry.backward(&self.options, &wall_sets, pairs, wanted);
+            pass.wall_geometry.backward(&wall_sets, pairs, wanted);
         }
     }
 }
