@@ -3,7 +3,7 @@
 //!
 //! [`ContinuousConv`] is Eq. 7 as one operator with its own forward and backward pass, those of this crate, on the
 //! memory of burn's CPU backend Flex. What burn tracks is differentiated: filter, bias, pointwise weights,
-//! features, importance, window values, and input and output positions. Nothing else is computed.
+//! features, importance, window values, and input and output positions. Nothing else is computed. All are float32.
 //!
 //! | tensor | shape | unit |
 //! | --- | --- | --- |
@@ -14,8 +14,6 @@
 //! | bias, pointwise | \[out\], \[in, out\] | |
 //! | importance | \[input points\] | |
 //! | window values | \[pairs\], in the order of the neighbours | |
-//!
-//! All tensors are float32 on the Flex device.
 //!
 //! ```
 //! use burn::tensor::{Device, Distribution, Tensor};
