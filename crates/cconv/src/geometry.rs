@@ -242,9 +242,8 @@ impl Operation for Windows<'_> {
             let mut block = [0.0; LANES];
             for lane in (0..LANES).step_by(I::LANES) {
                 let [x, y, z] = &position;
-                let (x, y, z) = (I::load(&x[lane..]), I::load(&y[lane..]), I::load(&z[lane..]));
-                let q = I::add(I::add(I::mul(x, x), I::mul(y, y)), I::mul(z, z));
-                I::store(self.options.window.values::<I>(q), &mut block[lane..]);
+                let p = [I::load(&x[lane..]), I::load(&y[lane..]), I::load(&z[lane..])];
+                I::store(self.options.window.values::<I>(norm_square::<I>(p)), &mut block[lane..]);
             }
             windows.copy_from_slice(&block[..windows.len()]);
         }
@@ -308,8 +307,7 @@ fn fill<I: InstructionSet>(
 ) {
     let [depth, height, width] = options.filter_size.map(|cells| cells as f32);
     let (align, offset) = (options.align_corners, options.offset);
-    let q = I::add(I::add(I::mul(p[0], p[0]), I::mul(p[1], p[1])), I::mul(p[2], p[2]));
-    let scale = I::mul(scale, window.values::<I>(q));
+    let scale = I::mul(scale, window.values::<I>(norm_square::<I>(p)));
     let p = mapping.apply::<I>(p);
     let x = interpolation.along::<I>(grid_coordinate::<I>(p[0], width, align, offset[0]), width);
     let y = interpolation.along::<I>(grid_coordinate::<I>(p[1], height, align, offset[1]), height);
@@ -327,4 +325,10 @@ fn fill<I: InstructionSet>(
             }
         }
     }
+}
+
+/// q, the squared distance from the centre of the unit ball.
+#[inline(always)]
+fn norm_square<I: InstructionSet>([x, y, z]: [I::Vector; 3]) -> I::Vector {
+    I::add(I::add(I::mul(x, x), I::mul(y, y)), I::mul(z, z))
 }

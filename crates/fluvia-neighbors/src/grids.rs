@@ -28,7 +28,7 @@ impl Grids {
     /// # Panics
     /// As [`Grid::build`], and if the clouds do not ascend from 0 to the number of points.
     pub fn build(&mut self, points: &[Point], clouds: &[usize], cell_size: f32) {
-        check(clouds, points.len());
+        check_clouds(clouds, points.len());
         assert!(u32::try_from(points.len()).is_ok(), "{} points, at most {} fit", points.len(), u32::MAX);
         self.clouds.clear();
         self.clouds.extend_from_slice(clouds);
@@ -65,7 +65,7 @@ impl Grids {
         options: &Options,
         neighbors: &mut Neighbors,
     ) {
-        check(query_clouds, queries.len());
+        check_clouds(query_clouds, queries.len());
         let (clouds, of_queries) = (self.grids.len(), query_clouds.len() - 1);
         assert_eq!(of_queries, clouds, "clouds of the queries and of the points");
         if let Radius::PerQuery(radii) = radius {
@@ -91,10 +91,14 @@ impl Grids {
     }
 }
 
-fn check(clouds: &[usize], points: usize) {
+/// Makes sure that clouds ascend from 0 to the number of points.
+///
+/// # Panics
+/// If they do not.
+pub fn check_clouds(clouds: &[usize], points: usize) {
     let ends = (clouds.first(), clouds.last());
     assert!(
         ends == (Some(&0), Some(&points)) && clouds.is_sorted(),
-        "clouds must ascend from 0 to {points} points, but go from {ends:?}"
+        "clouds must ascend from 0 to {points} points, but are {clouds:?}"
     );
 }

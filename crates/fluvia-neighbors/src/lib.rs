@@ -14,7 +14,7 @@ mod grids;
 mod transpose;
 
 pub use grid::Grid;
-pub use grids::Grids;
+pub use grids::{Grids, check_clouds};
 pub use transpose::Transpose;
 
 /// A position in metres: x, y, z.

@@ -118,13 +118,7 @@ impl Solver for NetSolver {
                 "dt: {dt} s, but the weights were made for steps of {made_for} s"
             )));
         }
-        if let Acceleration::PerParticle(values) = acceleration
-            && values.len() != particles.len()
-        {
-            let (found, expected) = (values.len(), particles.len());
-            let message = format!("{found} accelerations for {expected} particles");
-            return Err(fluvia_sim::Error::Parameter(message));
-        }
+        acceleration.check(particles.len())?;
         let bodies = self.viscosity.as_ref().map_or(usize::MAX, Vec::len);
         if let Some(body) = particles.body.iter().find(|&&body| body as usize >= bodies) {
             let message = format!("a particle of body {body}, but there are viscosities for {bodies} bodies");
@@ -134,7 +128,7 @@ impl Solver for NetSolver {
         let world = World { extra: &self.extra, acceleration, clouds: &[0, particles.len()] };
         let state = (particles.position.as_slice(), particles.velocity.as_slice());
         let NetSolver { network, walls, memory, step, .. } = self;
-        if !step.predicts_finite(network, state, acceleration) {
+        if !step.forward(network, state, world, walls, Activations::Drop, memory) {
             // Too fast for float32: the caller sees by the positions which particles.
             particles.position.clone_from(&step.predicted().position);
             return Ok(StepInfo {
@@ -143,7 +137,6 @@ impl Solver for NetSolver {
                 neighbor_radius: network.config().filter_radius,
             });
         }
-        step.forward(network, state, world, walls, Activations::Drop, memory);
         step.correct(network, &mut particles.position, &mut particles.velocity);
         Ok(StepInfo {
             substeps: 1,

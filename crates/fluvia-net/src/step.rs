@@ -58,26 +58,16 @@ impl Step {
         network.search(&self.sorted, world.clouds, walls, &mut self.pass, memory);
     }
 
-    /// Applies Eq. 10 and 11 alone: whether all x* are finite, as [`Step::forward`] needs them.
-    pub(crate) fn predicts_finite(
-        &mut self,
-        network: &Network,
-        (position, velocity): (&[Point], &[Point]),
-        acceleration: Acceleration<'_>,
-    ) -> bool {
-        predict(position, velocity, acceleration, network.config().dt, &mut self.predicted);
-        self.predicted.position.as_flattened().iter().all(|x| x.is_finite())
-    }
-
     /// x* and v* of Eq. 10 and 11.
     pub(crate) fn predicted(&self) -> &State {
         &self.predicted
     }
 
-    /// Runs the network on a state.
+    /// Runs the network on a state. If an x* of Eq. 11 is not finite, it does not, and returns false.
     ///
     /// # Panics
-    /// If lengths do not fit each other, or if a position is not finite after Eq. 11.
+    /// If lengths do not fit each other.
+    #[must_use]
     pub fn forward(
         &mut self,
         network: &Network,
@@ -86,10 +76,14 @@ impl Step {
         walls: &mut Walls,
         activations: Activations,
         memory: &mut Memory,
-    ) {
+    ) -> bool {
         self.prepare(network, (position, velocity), world, memory);
+        if !self.predicted.position.as_flattened().iter().all(|x| x.is_finite()) {
+            return false;
+        }
         let fluid = Fluid { position: &self.sorted, features: &self.features, clouds: world.clouds };
         network.forward(fluid, walls, activations, &mut self.pass, memory);
+        true
     }
 
     /// Applies the result of [`Step::forward`] to the state that it started from.

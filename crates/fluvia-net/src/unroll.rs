@@ -62,7 +62,8 @@ impl Unroll {
             let mut state = std::mem::take(&mut self.states[k + 1]);
             state.clone_from(&self.states[k]);
             let before = (state.position.as_slice(), state.velocity.as_slice());
-            step.forward(network, before, world, walls, activations, &mut self.memory);
+            let is_finite = step.forward(network, before, world, walls, activations, &mut self.memory);
+            assert!(is_finite, "step {}: a position of Eq. 11 is not finite", k + 1);
             step.correct(network, &mut state.position, &mut state.velocity);
             self.states[k + 1] = state;
         }
@@ -95,14 +96,10 @@ impl Unroll {
                 Storage::Recompute => {
                     let State { position, velocity } = &self.states[k];
                     let step = &mut self.steps[0];
-                    step.forward(
-                        network,
-                        (position, velocity),
-                        world,
-                        walls,
-                        Activations::Keep,
-                        &mut self.memory,
-                    );
+                    let memory = &mut self.memory;
+                    // The same x* as before.
+                    let _ =
+                        step.forward(network, (position, velocity), world, walls, Activations::Keep, memory);
                     step
                 }
             };

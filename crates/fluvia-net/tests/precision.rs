@@ -1,6 +1,8 @@
 //! One step of the published network in bfloat16 against float32, on a state in the middle of an impact.
 
-use std::path::{Path, PathBuf};
+mod common;
+
+use std::path::Path;
 
 use cconv::{Kernel, Precision};
 use fluvia_net::solver::NetSolver;
@@ -45,18 +47,10 @@ fn mean(values: &[f32]) -> f32 {
 
 #[test]
 fn a_step_of_the_published_network_is_near_float32() {
-    let reference = std::env::var_os("FLUVIA_REFERENCE").map_or_else(
-        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/reference"),
-        PathBuf::from,
-    );
-    let files =
-        [reference.join("official/pretrained_model_weights.pt"), reference.join("bench/state_6k.npz")];
-    if let Some(missing) = files.iter().find(|path| !path.exists()) {
-        eprintln!("skipped: {} is not there (set FLUVIA_REFERENCE)", missing.display());
-        return;
-    }
-    let weights = weights::load(&files[0]).expect("the published weights");
-    let (start, boundary) = state(&files[1]);
+    let files = ["official/pretrained_model_weights.pt", "bench/state_6k.npz"].map(common::reference);
+    let [Some(weights), Some(start)] = files else { return };
+    let weights = weights::load(weights).expect("the published weights");
+    let (start, boundary) = state(&start);
     let distances = distances(&weights, &start, &boundary, Kernel::detect());
     let (mean, largest) = (mean(&distances), distances[distances.len() - 1]);
     let percentile = distances[distances.len() * 99 / 100];

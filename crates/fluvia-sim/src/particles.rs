@@ -1,5 +1,7 @@
 //! The state of a fluid and the walls around it, as particles.
 
+use crate::{Error, Result};
+
 /// The fluid particles; every vector has one entry a particle.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Particles {
@@ -61,6 +63,17 @@ pub enum Acceleration<'a> {
 }
 
 impl Acceleration<'_> {
+    /// # Errors
+    /// `Parameter` if there is one per particle, but not for so many particles.
+    pub fn check(&self, particles: usize) -> Result<()> {
+        match self {
+            Acceleration::PerParticle(values) if values.len() != particles => {
+                Err(Error::Parameter(format!("{} accelerations for {particles} particles", values.len())))
+            }
+            _ => Ok(()),
+        }
+    }
+
     /// The acceleration of particle `i`.
     #[inline]
     pub fn of(&self, i: usize) -> [f32; 3] {

@@ -326,12 +326,7 @@ impl Solver for Pbf {
                 format!("dt {dt} s in substeps of {length} s, expected at most {TOO_MANY_SUBSTEPS} of them");
             return Err(Error::Parameter(message));
         }
-        if let Acceleration::PerParticle(values) = acceleration
-            && values.len() != particles.len()
-        {
-            let (found, expected) = (values.len(), particles.len());
-            return Err(Error::Parameter(format!("{found} accelerations for {expected} particles")));
-        }
+        acceleration.check(particles.len())?;
         self.fluid.load(particles, acceleration, &mut self.grid, self.kernel.support());
         let mut info = StepInfo { neighbor_radius: self.kernel.support(), ..StepInfo::default() };
         let mut remaining = f64::from(dt);

@@ -215,13 +215,7 @@ impl Rollout {
     ) -> Result<(StepInfo, Particles)> {
         let mut particles = self.state.particles.clone();
         let count = particles.len();
-        if let Acceleration::PerParticle(values) = acceleration
-            && values.len() != count
-        {
-            let message =
-                format!("{} accelerations, expected one for each of {count} particles", values.len());
-            return Err(Error::Parameter(message));
-        }
+        acceleration.check(count)?;
         let info = solver.step(&mut particles, acceleration, self.dt)?;
         if particles.len() != count {
             let message = format!("solver {} made {} of {count} particles", solver.name(), particles.len());

@@ -1,10 +1,12 @@
 //! Mesh files: the published models, one body in many guises, every kind of fault, and damage at random.
 
+mod common;
 #[path = "formats/memory.rs"]
 mod memory;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
+use common::reference;
 use fluvia_sim::mesh::{Format, TriangleMesh};
 use fluvia_sim::shapes::Shape;
 use proptest::prelude::*;
@@ -15,19 +17,6 @@ const BYTES_FOR_A_BYTE: usize = 64;
 
 /// What messages and small vectors take.
 const BYTES_FOR_A_FILE: usize = 16 << 10;
-
-/// The folder of reference data, or `None` with the reason printed.
-fn reference() -> Option<PathBuf> {
-    let folder = match std::env::var_os("FLUVIA_REFERENCE") {
-        Some(folder) => PathBuf::from(folder),
-        None => Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/reference"),
-    };
-    if folder.is_dir() {
-        return Some(folder);
-    }
-    println!("skipped: no reference data in {} (set FLUVIA_REFERENCE)", folder.display());
-    None
-}
 
 #[track_caller]
 fn rejected(bytes: impl AsRef<[u8]>, format: Format, texts: &[&str]) {

@@ -1,29 +1,18 @@
 //! Scene files: the reference cases, the shipped scenes, and every kind of fault in files written here.
 
+mod common;
 #[path = "formats/memory.rs"]
 mod memory;
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use common::reference;
 use fluvia_sim::frames::ParticleData;
 use fluvia_sim::particles::Particles;
 use fluvia_sim::scene::{self, Scene, Setup, Source};
 use fluvia_sim::{Error, Result, frames};
 use proptest::prelude::*;
-
-/// The folder of reference data, or `None` with the reason printed.
-fn reference() -> Option<PathBuf> {
-    let folder = match std::env::var_os("FLUVIA_REFERENCE") {
-        Some(folder) => PathBuf::from(folder),
-        None => Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/reference"),
-    };
-    if folder.is_dir() {
-        return Some(folder);
-    }
-    println!("skipped: no reference data in {} (set FLUVIA_REFERENCE)", folder.display());
-    None
-}
 
 fn load(path: impl AsRef<Path>) -> Result<Setup> {
     Scene::load(path)?.sample(0)

@@ -208,7 +208,9 @@ impl Bench {
             match stage {
                 Stage::Step => {
                     let State { mut position, mut velocity } = state.clone();
-                    step.forward(network, before, world, walls, Activations::Drop, memory);
+                    if !step.forward(network, before, world, walls, Activations::Drop, memory) {
+                        bail!("the speeds of the state lead beyond float32");
+                    }
                     step.correct(network, &mut position, &mut velocity);
                 }
                 Stage::Neighbors => step.search(network, before, world, walls, memory),

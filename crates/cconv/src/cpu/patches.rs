@@ -65,7 +65,7 @@ pub fn run(
                 first_row: rows.start,
                 rows: rows.len(),
                 output: outputs.as_mut().and_then(Iterator::next),
-                sum: sums.as_ref().and_then(|sums| sums.partial(rows, partials.next()?)),
+                sum: sums.as_ref().zip(partials.next()).map(|(sums, values)| sums.partial(rows, values)),
             })
             .collect();
         tasks.into_par_iter().for_each(|task| {

@@ -143,9 +143,9 @@ pub struct FilterSums<'a> {
 
 impl FilterSums<'_> {
     /// A partial sum over some rows.
-    pub fn partial<'a>(&'a self, rows: &Range<usize>, values: &'a mut [f32]) -> Option<PartialSum<'a>> {
+    pub fn partial<'a>(&'a self, rows: &Range<usize>, values: &'a mut [f32]) -> PartialSum<'a> {
         let other = &self.other[rows.start * self.channels..rows.end * self.channels];
-        Some(PartialSum { other, channels: self.channels, values })
+        PartialSum { other, channels: self.channels, values }
     }
 
     /// Adds partial sums, in order. `filter` is that of the patches.

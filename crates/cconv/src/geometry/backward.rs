@@ -18,7 +18,7 @@
 use fluvia_neighbors::Point;
 use rayon::prelude::*;
 
-use super::{Geometry, LANES, Lists, Rows, TASK_BLOCKS};
+use super::{Geometry, LANES, Lists, Rows, TASK_BLOCKS, norm_square};
 use crate::filter::grid_coordinate;
 use crate::kernel::{InstructionSet, Operation};
 use crate::{Options, PointSets, Window};
@@ -283,9 +283,4 @@ impl Operation for ThroughWindow<'_> {
             }
         }
     }
-}
-
-#[inline(always)]
-fn norm_square<I: InstructionSet>([x, y, z]: [I::Vector; 3]) -> I::Vector {
-    I::add(I::add(I::mul(x, x), I::mul(y, y)), I::mul(z, z))
 }

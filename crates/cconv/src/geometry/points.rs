@@ -1,6 +1,6 @@
 //! The points of a convolution, as the caller gives them.
 
-use fluvia_neighbors::{Neighbors, Point};
+use fluvia_neighbors::{Neighbors, Point, check_clouds};
 
 /// The diameter of the filter's support: 2 R, in the unit of the points.
 #[derive(Clone, Copy, Debug)]
@@ -120,11 +120,7 @@ pub(crate) fn boundaries(clouds: &[usize], points: usize) -> Vec<usize> {
     if clouds.is_empty() {
         return vec![0, points];
     }
-    let ends = (clouds.first(), clouds.last());
-    assert!(
-        ends == (Some(&0), Some(&points)) && clouds.is_sorted(),
-        "clouds must ascend from 0 to {points} points, but are {clouds:?}"
-    );
+    check_clouds(clouds, points);
     clouds.to_vec()
 }
 

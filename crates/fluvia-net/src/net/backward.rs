@@ -157,19 +157,20 @@ impl Network {
         let by_walls = columns(0, walls_width);
         let mut wanted =
             Gradients { pairs: by_positions.is_some().then_some(&mut *pairs), ..Gradients::default() };
-        let by_layer = part(&mut tensors, OBSTACLE);
-        if let Some([kernel, bias]) = by_layer {
-            // With the channel that was added to the normals.
-            let mut padded = pad_inputs(kernel, WALL_INPUTS, walls_width, WALL_CHANNELS);
+        // With the channel that was added to the normals.
+        let (mut by_kernel, mut padded) = (None, Vec::new());
+        if let Some([kernel, bias]) = part(&mut tensors, OBSTACLE) {
+            padded = pad_inputs(kernel, WALL_INPUTS, walls_width, WALL_CHANNELS);
             wanted.filter = Some(&mut padded);
             wanted.bias = Some(bias);
-            backward(&pass.wall_geometry, &self.obstacle, &walls.features, &by_walls, wanted, workspace);
+            by_kernel = Some(kernel);
+        }
+        backward(&pass.wall_geometry, &self.obstacle, &walls.features, &by_walls, wanted, workspace);
+        if let Some(kernel) = by_kernel {
             let cells = padded.chunks_exact(WALL_CHANNELS * walls_width);
             for (to, from) in kernel.chunks_exact_mut(WALL_INPUTS * walls_width).zip(cells) {
                 to.copy_from_slice(&from[..WALL_INPUTS * walls_width]);
             }
-        } else {
-            backward(&pass.wall_geometry, &self.obstacle, &walls.features, &by_walls, wanted, workspace);
         }
         if let Some(by_positions) = by_positions {
             let wanted = PointGradients { output_positions: Some(by_positions), ..PointGradients::default() };

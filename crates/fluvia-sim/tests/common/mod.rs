@@ -1,6 +1,8 @@
-//! Scenes for the tests of the solver and the rollout, made without files.
+//! Scenes for the tests of the solver and the rollout, made without files; and where the reference data are.
 
 #![allow(dead_code, reason = "each test binary uses a part of it")]
+
+use std::path::{Path, PathBuf};
 
 use fluvia_sim::particles::{Boundary, Particles};
 use fluvia_sim::scene::{Emitter, Material, Setup};
@@ -8,6 +10,19 @@ use fluvia_sim::scene::{Emitter, Material, Setup};
 pub const RADIUS: f32 = 0.025;
 pub const GRAVITY: [f32; 3] = [0.0, -9.81, 0.0];
 pub const DT: f32 = 0.02;
+
+/// The folder of reference data, or `None` with the reason printed.
+pub fn reference() -> Option<PathBuf> {
+    let folder = match std::env::var_os("FLUVIA_REFERENCE") {
+        Some(folder) => PathBuf::from(folder),
+        None => Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/reference"),
+    };
+    if folder.is_dir() {
+        return Some(folder);
+    }
+    println!("skipped: no reference data in {} (set FLUVIA_REFERENCE)", folder.display());
+    None
+}
 
 /// A closed box whose six faces are sampled on regular grids of about the given spacing; normals look inward.
 pub fn box_walls(low: [f32; 3], high: [f32; 3], spacing: f32) -> Boundary {

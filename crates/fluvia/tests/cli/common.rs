@@ -61,6 +61,12 @@ impl Folder {
         assert!(!self.path("out").exists(), "{arguments}: left `out` behind");
     }
 
+    /// The content of a JSON file.
+    pub fn json(&self, name: &str) -> serde_json::Value {
+        let bytes = std::fs::read(self.path(name)).expect("a readable file");
+        serde_json::from_slice(&bytes).expect("JSON")
+    }
+
     /// The content of all files of a run but its record, which holds times and threads.
     pub fn files(&self, directory: &str) -> BTreeMap<String, Vec<u8>> {
         let entries = std::fs::read_dir(self.path(directory)).expect("a directory");

@@ -148,13 +148,12 @@ fn a_run_that_has_ended_keeps_its_record() {
         assert!(std::fs::read(folder.path("out/run.json")).unwrap() == record);
     }
     // Another kernel goes on: the record names both.
-    let mut changed: serde_json::Value = serde_json::from_slice(&record).unwrap();
+    let mut changed = folder.json("out/run.json");
     changed["kernel"] = "abacus".into();
     folder.write("out/run.json", changed.to_string());
     let run = folder.succeed("simulate scene.json --steps 4 --out out --resume");
     assert!(run.stderr.contains("abacus"), "{}", run.stderr);
-    let record: serde_json::Value =
-        serde_json::from_slice(&std::fs::read(folder.path("out/run.json")).unwrap()).unwrap();
+    let record = folder.json("out/run.json");
     assert_eq!(record["earlier"][0]["kernel"], "abacus");
     assert_eq!(record["earlier"][0]["until_step"], 3);
 }
@@ -165,8 +164,7 @@ fn speeds_beyond_all_measure_stay_numbers() {
     let body = r#""shape": "box", "scale": 0.2, "translation": [0, 0.3, 0], "velocity": [1e20, 0, 0]"#;
     folder.write("scene.json", scene_of(body));
     folder.run("simulate scene.json --steps 1 --out out");
-    let record: serde_json::Value =
-        serde_json::from_slice(&std::fs::read(folder.path("out/run.json")).unwrap()).unwrap();
+    let record = folder.json("out/run.json");
     let summary = &record["summary"];
     assert!(summary.is_null() || summary["highest_speed"].is_number(), "{summary}");
     folder.succeed("render out -o last.png --size 64");
@@ -228,8 +226,7 @@ fn the_precision_is_recorded_and_a_run_keeps_it() {
     let network = format!("simulate scene.json --weights {weights}");
     folder.succeed(&format!("{network} --steps 2 --out exact --threads 1"));
     folder.succeed(&format!("{network} --steps 2 --out out --precision bf16 --threads 1"));
-    let record: serde_json::Value =
-        serde_json::from_slice(&std::fs::read(folder.path("out/run.json")).unwrap()).unwrap();
+    let record = folder.json("out/run.json");
     assert_eq!(record["parameters"]["precision"], "bf16");
     let frame = |run: &str| std::fs::read(folder.path(&format!("{run}/fluid_0002.npz"))).unwrap();
     assert!(frame("exact") != frame("out"));
