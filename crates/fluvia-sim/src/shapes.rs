@@ -1,12 +1,19 @@
 //! Built-in shapes, named in scene files: meshes of unit size made by code.
 //!
-//! Solids (box to torus) are centred on the origin; containers (container to bowl) stand on y = 0 around the
+//! Solids (box to jack) are centred on the origin; containers (container to course) stand on y = 0 around the
 //! y axis. All fit a cube of side 1, so that `scale` is the size in metres. Their faces look outwards: as
 //! walls they hold the fluid inside, and with `invert_normals` a solid is an obstacle in it.
+//!
+//! The containers of random scenes and the bodies in them are among these shapes
+//! ([`random`](crate::scene::random)); assets/models has them as OBJ files for other programs.
 
-use std::f64::consts::{PI, TAU};
+mod build;
+mod containers;
+mod solids;
 
 use crate::mesh::TriangleMesh;
+use build::{extrude, revolve};
+use solids::{half_circle, tube_circle};
 
 /// Sides of what is round: the area of its cross-section is 0.3 % less than that of a circle.
 const SEGMENTS: usize = 48;
@@ -28,6 +35,14 @@ pub enum Shape {
     Cone,
     /// `torus`: a ring around y, 1 wide, with a tube of diameter 0.25.
     Torus,
+    /// `egg`: 1 high along y and about 0.8 wide, its blunt end below.
+    Egg,
+    /// `elbow`: a cube without a quarter, an L along z.
+    Elbow,
+    /// `horseshoe`: a flat ring around z, 0.5 thick, open towards +x.
+    Horseshoe,
+    /// `jack`: three square bars of length 1 across each other.
+    Jack,
     /// `container`: a cube of side 1 that stands on y = 0.
     Container,
     /// `step`: a container whose floor is 1/4 high where x < 0.
@@ -38,37 +53,71 @@ pub enum Shape {
     Basin,
     /// `bowl`: the lower half of a sphere of diameter 1, open above, its lowest point at y = 0.
     Bowl,
+    /// `tank`: an upright prism of eight sides.
+    Tank,
+    /// `wedge`: a container whose floor falls by 1/10 along x.
+    Wedge,
+    /// `trough`: a container whose floor is round along x, lowest in the middle.
+    Trough,
+    /// `ditch`: a container with a trench across its floor.
+    Ditch,
+    /// `stairs`: a container whose floor has four steps down along x.
+    Stairs,
+    /// `ridge`: a container with a ridge across its floor.
+    Ridge,
+    /// `waves`: a container with a wavy floor.
+    Waves,
+    /// `hill`: a container with a round hill on its floor.
+    Hill,
+    /// `post`: a container with a square post on its floor.
+    Post,
+    /// `course`: two rooms with a funnel between them; below it a landing, stairs and a basin.
+    Course,
 }
+
+/// Every shape and its name in scene files.
+const NAMES: [(Shape, &str); 24] = [
+    (Shape::Box, "box"),
+    (Shape::Sphere, "sphere"),
+    (Shape::Cylinder, "cylinder"),
+    (Shape::Cone, "cone"),
+    (Shape::Torus, "torus"),
+    (Shape::Egg, "egg"),
+    (Shape::Elbow, "elbow"),
+    (Shape::Horseshoe, "horseshoe"),
+    (Shape::Jack, "jack"),
+    (Shape::Container, "container"),
+    (Shape::Step, "step"),
+    (Shape::Ramp, "ramp"),
+    (Shape::Basin, "basin"),
+    (Shape::Bowl, "bowl"),
+    (Shape::Tank, "tank"),
+    (Shape::Wedge, "wedge"),
+    (Shape::Trough, "trough"),
+    (Shape::Ditch, "ditch"),
+    (Shape::Stairs, "stairs"),
+    (Shape::Ridge, "ridge"),
+    (Shape::Waves, "waves"),
+    (Shape::Hill, "hill"),
+    (Shape::Post, "post"),
+    (Shape::Course, "course"),
+];
 
 impl Shape {
     /// All shapes.
-    pub const ALL: [Shape; 10] = [
-        Shape::Box,
-        Shape::Sphere,
-        Shape::Cylinder,
-        Shape::Cone,
-        Shape::Torus,
-        Shape::Container,
-        Shape::Step,
-        Shape::Ramp,
-        Shape::Basin,
-        Shape::Bowl,
-    ];
+    pub const ALL: [Shape; NAMES.len()] = {
+        let mut all = [Shape::Box; NAMES.len()];
+        let mut i = 0;
+        while i < all.len() {
+            all[i] = NAMES[i].0;
+            i += 1;
+        }
+        all
+    };
 
     /// Its name in scene files.
     pub fn name(self) -> &'static str {
-        match self {
-            Shape::Box => "box",
-            Shape::Sphere => "sphere",
-            Shape::Cylinder => "cylinder",
-            Shape::Cone => "cone",
-            Shape::Torus => "torus",
-            Shape::Container => "container",
-            Shape::Step => "step",
-            Shape::Ramp => "ramp",
-            Shape::Basin => "basin",
-            Shape::Bowl => "bowl",
-        }
+        NAMES[self as usize].1
     }
 
     /// The shape of that name.
@@ -84,6 +133,10 @@ impl Shape {
             Shape::Cylinder => revolve(&[[0.0, -0.5], [0.5, -0.5], [0.5, 0.5], [0.0, 0.5]]),
             Shape::Cone => revolve(&[[0.0, -0.5], [0.5, -0.5], [0.0, 0.5]]),
             Shape::Torus => revolve(&tube_circle()),
+            Shape::Egg => solids::egg(),
+            Shape::Elbow => solids::elbow(),
+            Shape::Horseshoe => solids::horseshoe(),
+            Shape::Jack => solids::jack(),
             Shape::Container => extrude(&[[-0.5, 0.0], [0.5, 0.0], [0.5, 1.0], [-0.5, 1.0]]),
             Shape::Step => {
                 extrude(&[[-0.5, 0.25], [0.0, 0.25], [0.0, 0.0], [0.5, 0.0], [0.5, 1.0], [-0.5, 1.0]])
@@ -96,80 +149,32 @@ impl Shape {
                 mesh
             }
             Shape::Bowl => revolve(&half_circle(0.5, 0.5)),
+            Shape::Tank => containers::tank(),
+            Shape::Wedge => containers::wedge(),
+            Shape::Trough => containers::trough(),
+            Shape::Ditch => containers::ditch(),
+            Shape::Stairs => containers::stairs(),
+            Shape::Ridge => containers::ridge(),
+            Shape::Waves => containers::waves(),
+            Shape::Hill => containers::hill(),
+            Shape::Post => containers::post(),
+            Shape::Course => containers::course(),
         }
     }
-}
-
-/// The lower `part` of a half circle of diameter 1 from its lower pole upwards, raised by `height`.
-fn half_circle(part: f64, height: f64) -> Vec<[f64; 2]> {
-    let last = (part * HALF_SEGMENTS as f64) as usize;
-    let point = |k: usize| {
-        let angle = PI * k as f64 / HALF_SEGMENTS as f64;
-        // The poles lie on the axis exactly, so that their corners are one vertex.
-        let radius = if k == 0 || k == HALF_SEGMENTS { 0.0 } else { 0.5 * angle.sin() };
-        [radius, height - 0.5 * angle.cos()]
-    };
-    (0..=last).map(point).collect()
-}
-
-/// The tube of the torus, closed, from its inner side downwards.
-fn tube_circle() -> Vec<[f64; 2]> {
-    let (ring, tube) = TORUS_RADII;
-    let point = |k: usize| {
-        let angle = TAU * (k % HALF_SEGMENTS) as f64 / HALF_SEGMENTS as f64;
-        [ring - tube * angle.cos(), -tube * angle.sin()]
-    };
-    (0..=HALF_SEGMENTS).map(point).collect()
-}
-
-/// Turns a profile of points (radius, y) around the y axis. The outside is to its right.
-fn revolve(profile: &[[f64; 2]]) -> TriangleMesh {
-    let corner = |i: usize, j: usize| {
-        let (sin, cos) = (TAU * j as f64 / SEGMENTS as f64).sin_cos();
-        let [radius, y] = profile[i];
-        [radius * cos, y, radius * sin].map(|x| x as f32)
-    };
-    let mut quads = Vec::new();
-    for i in 0..profile.len() - 1 {
-        for j in 0..SEGMENTS {
-            let next = (j + 1) % SEGMENTS;
-            quads.push(vec![corner(i, j), corner(i + 1, j), corner(i + 1, next), corner(i, next)]);
-        }
-    }
-    from_faces(quads)
-}
-
-/// The body between z = -1/2 and z = 1/2 whose cross-section is a counter-clockwise polygon in x and y.
-fn extrude(profile: &[[f64; 2]]) -> TriangleMesh {
-    let corner = |[x, y]: [f64; 2], z: f64| [x, y, z].map(|x| x as f32);
-    let mut faces: Vec<Vec<[f32; 3]>> = vec![
-        profile.iter().map(|&p| corner(p, 0.5)).collect(),
-        profile.iter().rev().map(|&p| corner(p, -0.5)).collect(),
-    ];
-    for (k, &p) in profile.iter().enumerate() {
-        let next = profile[(k + 1) % profile.len()];
-        faces.push(vec![corner(p, -0.5), corner(next, -0.5), corner(next, 0.5), corner(p, 0.5)]);
-    }
-    from_faces(faces)
-}
-
-fn from_faces(faces: Vec<Vec<[f32; 3]>>) -> TriangleMesh {
-    let corners: Vec<u32> = (0..faces.iter().map(Vec::len).sum::<usize>() as u32).collect();
-    let mut rest = &corners[..];
-    let polygons: Vec<&[u32]> = faces
-        .iter()
-        .map(|face| {
-            let (polygon, others) = rest.split_at(face.len());
-            rest = others;
-            polygon
-        })
-        .collect();
-    TriangleMesh::from_polygons(faces.concat(), polygons)
 }
 
 #[cfg(test)]
 mod tests {
+    use std::f64::consts::{PI, TAU};
+
     use super::*;
+
+    #[test]
+    fn names_are_in_the_order_of_the_shapes() {
+        for (i, (shape, name)) in NAMES.into_iter().enumerate() {
+            assert_eq!((shape as usize, shape.name(), Shape::from_name(name)), (i, name, Some(shape)));
+        }
+    }
 
     #[test]
     fn shapes_are_closed_face_outwards_and_have_their_size() {
@@ -180,7 +185,24 @@ mod tests {
             Shape::Cylinder => PI / 4.0,
             Shape::Cone => PI / 12.0,
             Shape::Torus => TAU * ring * PI * tube * tube,
+            // An ellipsoid of width 0.75, and what it gains by its taper: 0.25² / 5 of that.
+            Shape::Egg => PI / 6.0 * 0.75 * 0.75 * (1.0 + 0.0125),
+            Shape::Elbow => 0.75,
+            Shape::Horseshoe => PI * (0.25 - 0.04) * (5.0 / 6.0) * 0.5,
+            Shape::Jack => 3.0 * 0.38 * 0.38 - 2.0 * 0.38 * 0.38 * 0.38,
             Shape::Step | Shape::Ramp => 0.875,
+            Shape::Tank => 2.0 * (2.0_f64.sqrt() - 1.0),
+            Shape::Wedge => 0.95,
+            Shape::Trough => 1.0 - 0.08 / 3.0,
+            Shape::Ditch => 1.0 - 0.6 * 0.0625,
+            Shape::Stairs => 1.0 - 0.06,
+            Shape::Ridge => 1.0 - 0.5 * 0.425 * 0.08,
+            Shape::Waves => 0.97,
+            // A cosine hill fills (1/2 - 2/π²) of its cylinder.
+            Shape::Hill => 1.0 - (0.5 - 2.0 / (PI * PI)) * PI * 0.375 * 0.375 * 0.0875,
+            Shape::Post => 1.0 - 0.25 * 0.25 * 0.125,
+            // The area of its polygon, square metres.
+            Shape::Course => 6.8325 / (3.2 * 3.2),
             Shape::Basin | Shape::Bowl => f64::NAN,
         };
         for shape in Shape::ALL {
@@ -200,6 +222,40 @@ mod tests {
         // Half a sphere; its facets lose less than 0.5 % of it.
         assert!((Shape::Bowl.mesh().area() / (PI / 2.0) - 1.0).abs() < 0.005);
         assert_eq!(Shape::from_name("Box"), None);
+    }
+
+    /// How far the surface is from convex: the farthest that a corner lies before the plane of a face.
+    fn dent(mesh: &TriangleMesh) -> f64 {
+        use crate::mesh::{cross, dot, sub};
+        let before = |t: usize| {
+            let [a, b, c] = mesh.corners(t);
+            let normal = cross(sub(b, a), sub(c, a));
+            let height = |x: &[f32; 3]| dot(sub(x.map(f64::from), a), normal) / dot(normal, normal).sqrt();
+            mesh.positions.iter().map(height).fold(0.0, f64::max)
+        };
+        (0..mesh.triangles.len()).map(before).fold(0.0, f64::max)
+    }
+
+    #[test]
+    fn shapes_that_are_called_convex_are_and_the_others_are_not() {
+        let convex = [
+            Shape::Box,
+            Shape::Sphere,
+            Shape::Cylinder,
+            Shape::Cone,
+            Shape::Egg,
+            Shape::Ramp,
+            Shape::Container,
+            Shape::Tank,
+            Shape::Wedge,
+            Shape::Trough,
+        ];
+        for shape in Shape::ALL {
+            let dent = dent(&shape.mesh());
+            // Rounding to float32 on one side; on the other the shallowest floor, of the ditch.
+            let is_right = if convex.contains(&shape) { dent < 1e-6 } else { dent > 0.05 };
+            assert!(is_right || matches!(shape, Shape::Basin | Shape::Bowl), "{shape:?} {dent}");
+        }
     }
 
     #[test]
