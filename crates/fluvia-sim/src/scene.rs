@@ -13,12 +13,15 @@ mod parse;
 mod placement;
 mod sample;
 mod warnings;
+mod write;
 
+use std::io::Write;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 pub use placement::{Placement, Rotation};
 
+use crate::frames::write_atomically;
 use crate::mesh::TriangleMesh;
 use crate::particles::Boundary;
 use crate::shapes::Shape;
@@ -157,6 +160,24 @@ impl Scene {
     pub fn parse(text: &[u8], path: impl AsRef<Path>) -> Result<Scene> {
         let path = path.as_ref();
         parse::scene(text, path).map_err(|message| Error::file(path, message))
+    }
+
+    /// The text of a scene file that is read back as this scene, its [`path`](Scene::path) aside. Paths in it stay
+    /// as they are, so the file belongs where they start from.
+    ///
+    /// # Errors
+    /// `Parameter` if it holds what no scene file can: a number that is not finite, an emitter that never emits.
+    pub fn to_json(&self) -> Result<String> {
+        write::to_json(self)
+    }
+
+    /// Writes the scene file, atomically.
+    ///
+    /// # Errors
+    /// `Io`, and those of [`to_json`](Scene::to_json).
+    pub fn write(&self, path: impl AsRef<Path>) -> Result<()> {
+        let text = self.to_json()?;
+        write_atomically(path.as_ref(), |out: &mut dyn Write| out.write_all(text.as_bytes()))
     }
 
     /// Turns the scene into particles. The same seed gives the same bits.
