@@ -11,6 +11,7 @@ mod lattice;
 mod poisson;
 
 pub use lattice::sample_volume;
+pub(crate) use poisson::uniform;
 pub use poisson::{sample_surface, surface_count};
 
 /// The most particles of a fluid body, and of all bodies of a scene: a file in millimetres taken for metres has 10⁹

@@ -11,6 +11,7 @@ mod fields;
 mod json;
 mod parse;
 mod placement;
+pub mod random;
 mod sample;
 mod warnings;
 mod write;

@@ -259,6 +259,19 @@ mod tests {
     }
 
     #[test]
+    fn models_of_random_scenes_are_closed_and_many_are_not_convex() {
+        use crate::scene::random::{BODIES, CONTAINERS};
+        for model in CONTAINERS.iter().chain(&BODIES) {
+            let mesh = model.shape.mesh();
+            assert!(mesh.is_oriented() && mesh.volume() > 0.0, "{model:?}");
+        }
+        let dented = |models: &[crate::scene::random::Model]| {
+            models.iter().filter(|model| dent(&model.shape.mesh()) > 0.05).count()
+        };
+        assert_eq!((dented(&CONTAINERS), dented(&BODIES)), (6, 3));
+    }
+
+    #[test]
     fn faces_of_open_shapes_look_away_from_the_inside() {
         for shape in [Shape::Basin, Shape::Bowl] {
             let mesh = shape.mesh();

@@ -96,7 +96,7 @@ fn random_points(mesh: &TriangleMesh, area: f64, count: usize, random: &mut Pcg6
 }
 
 /// Uniform in [0, 1) with the 53 bits that an f64 has.
-fn uniform(random: &mut Pcg64) -> f64 {
+pub(crate) fn uniform(random: &mut Pcg64) -> f64 {
     (random.next_u64() >> 11) as f64 / (1_u64 << 53) as f64
 }
 
