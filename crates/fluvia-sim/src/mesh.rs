@@ -102,6 +102,11 @@ impl TriangleMesh {
         polygons.into_mesh()
     }
 
+    /// The mesh as the text of an OBJ file, to a micrometre.
+    pub fn to_obj(&self) -> String {
+        obj::format(self)
+    }
+
     /// Makes a mesh of polygons: cuts them into triangles and welds corners at equal positions.
     ///
     /// # Panics
@@ -213,7 +218,7 @@ impl TriangleMesh {
     }
 
     /// The mesh with every vertex moved.
-    pub(crate) fn map(&self, place: impl Fn(Vec3) -> Vec3) -> TriangleMesh {
+    pub fn map(&self, place: impl Fn([f64; 3]) -> [f64; 3]) -> TriangleMesh {
         let positions = self.positions.iter().map(|x| place(x.map(f64::from)).map(|x| x as f32)).collect();
         TriangleMesh { positions, triangles: self.triangles.clone() }
     }

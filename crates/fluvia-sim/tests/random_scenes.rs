@@ -1,5 +1,6 @@
 //! Random scenes: reproducible, clear of walls and each other, within their ranges, never given up in silence.
 
+use std::path::Path;
 use std::time::Instant;
 
 use fluvia_sim::mesh::TriangleMesh;
@@ -41,10 +42,8 @@ fn shape_of(source: &Source) -> Shape {
 }
 
 fn container(scene: &Scene) -> TriangleMesh {
-    let mut mesh = shape_of(&scene.walls[0].source).mesh();
-    let scale = scene.walls[0].placement.scale;
-    mesh.positions.iter_mut().for_each(|x| *x = [0, 1, 2].map(|k| x[k] * scale[k]));
-    mesh
+    let wall = &scene.walls[0];
+    Model { shape: shape_of(&wall.source), size: wall.placement.scale }.mesh()
 }
 
 fn sub(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
@@ -136,6 +135,22 @@ fn bodies_touch_neither_walls_nor_each_other() {
             check_clear(&draw(&recipe, seed).scene, &format!("{} {seed}", container.shape.name()));
         }
     }
+}
+
+/// `cargo run -p fluvia-sim --example write_models` writes them.
+#[test]
+fn the_models_in_assets_are_those_of_the_code() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/models");
+    for model in CONTAINERS.iter().chain(&BODIES) {
+        let path = folder.join(model.shape.name()).with_extension("obj");
+        let text = std::fs::read_to_string(&path).expect("a model");
+        assert!(text.replace("\r\n", "\n") == model.mesh().to_obj(), "{}", path.display());
+        let mesh = TriangleMesh::load(&path).expect("a mesh");
+        assert!(mesh.is_oriented() && mesh.triangles.len() == model.mesh().triangles.len());
+        assert!((mesh.volume() - model.mesh().volume()).abs() < 1e-5, "rounded to a micrometre");
+    }
+    let count = std::fs::read_dir(&folder).expect("a folder").count();
+    assert_eq!(count, CONTAINERS.len() + BODIES.len(), "no other file");
 }
 
 #[test]

@@ -4,7 +4,13 @@
 //! A face corner is `v`, `v/vt`, `v//vn` or `v/vt/vn`; v counts from 1, or backwards from the last vertex
 //! above if negative. A backslash at its end continues a line.
 
+use std::fmt::Write;
+
+use super::TriangleMesh;
 use super::polygons::Polygons;
+
+/// Decimals of coordinates that are written: a micrometre, and the same text on machines whose sine rounds otherwise.
+const DECIMALS: f64 = 1e6;
 
 pub(super) fn parse(bytes: &[u8]) -> Result<Polygons, String> {
     let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
@@ -91,4 +97,19 @@ fn corner(word: &str, vertices: usize) -> Result<u32, String> {
     vertex
         .and_then(|vertex| u32::try_from(vertex).ok())
         .ok_or_else(|| format!("vertex {value} of {vertices}, expected 1 to {vertices} or -{vertices} to -1"))
+}
+
+/// The text of a mesh, `v` and `f`.
+pub(super) fn format(mesh: &TriangleMesh) -> String {
+    let mut text = String::new();
+    // Writing to a text cannot fail. Adding zero turns -0 into 0.
+    for position in &mesh.positions {
+        let [x, y, z] = position.map(|x| (f64::from(x) * DECIMALS).round() / DECIMALS + 0.0);
+        let _ = writeln!(text, "v {x} {y} {z}");
+    }
+    for triangle in &mesh.triangles {
+        let [a, b, c] = triangle.map(|v| u64::from(v) + 1);
+        let _ = writeln!(text, "f {a} {b} {c}");
+    }
+    text
 }

@@ -19,6 +19,7 @@ use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
 use super::{Fluid, Material, Placement, Scene, Source, Wall};
+use crate::mesh::TriangleMesh;
 use crate::shapes::Shape;
 use crate::{Error, Result};
 use drawing::{Body, Drawing};
@@ -34,6 +35,14 @@ pub struct Model {
     pub shape: Shape,
     /// Its size along each axis, metres.
     pub size: [f32; 3],
+}
+
+impl Model {
+    /// Its surface.
+    pub fn mesh(&self) -> TriangleMesh {
+        let placement = Placement { scale: self.size, ..Placement::default() };
+        self.shape.mesh().map(placement.turn())
+    }
 }
 
 /// How a body is turned.

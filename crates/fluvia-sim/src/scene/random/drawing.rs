@@ -7,7 +7,6 @@ use rand_pcg::rand_core::SeedableRng;
 
 use super::space::Space;
 use super::{Model, Orientation, Recipe, Retries, Speed, draw};
-use crate::mesh::TriangleMesh;
 use crate::sampling::sample_volume;
 use crate::scene::{DEFAULT_PARTICLE_RADIUS, Placement};
 use crate::shapes::Shape;
@@ -105,12 +104,9 @@ impl<'a> Drawing<'a> {
 
     /// The free space of an empty container.
     fn space(&mut self, index: usize) -> Space {
-        let Model { shape, size } = self.recipe.containers[index];
-        let space = self.spaces[index].get_or_insert_with(|| {
-            let placement = Placement { scale: size, ..Placement::default() };
-            let surface: TriangleMesh = shape.mesh().map(placement.turn());
-            Space::inside(&surface, DEFAULT_PARTICLE_RADIUS)
-        });
+        let model = self.recipe.containers[index];
+        let space =
+            self.spaces[index].get_or_insert_with(|| Space::inside(&model.mesh(), DEFAULT_PARTICLE_RADIUS));
         space.clone()
     }
 
@@ -158,10 +154,8 @@ impl<'a> Drawing<'a> {
         match wanted {
             None => Some(of_size(scale)),
             Some(wanted) => {
-                let volume: f64 =
-                    model.size.iter().fold(model.shape.mesh().volume(), |v, &s| v * f64::from(s));
                 let cell = (2.0 * f64::from(DEFAULT_PARTICLE_RADIUS)).powi(3);
-                body_of_count(of_size, volume / cell, wanted, &recipe.scale)
+                body_of_count(of_size, model.mesh().volume() / cell, wanted, &recipe.scale)
             }
         }
     }
