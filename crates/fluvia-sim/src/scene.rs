@@ -40,10 +40,11 @@ pub const DEFAULT_PARTICLE_RADIUS: f32 = 0.025;
 const MAX_BYTES: u64 = 4 << 20;
 
 /// The scenes that come with the program, by name.
-const SHIPPED: [(&str, &str); 3] = [
+const SHIPPED: [(&str, &str); 4] = [
     ("dam_break", include_str!("../../../assets/scenes/dam_break.json")),
     ("two_bodies", include_str!("../../../assets/scenes/two_bodies.json")),
     ("emitter_step", include_str!("../../../assets/scenes/emitter_step.json")),
+    ("obstacle_course", include_str!("../../../assets/scenes/obstacle_course.json")),
 ];
 
 /// The text of a scene that comes with the program, from assets/scenes; it names no files.

@@ -34,7 +34,7 @@ Examples:
   fluvia simulate scene.json --weights pretrained_model_weights.pt --steps 500 --out out/net --format npz,vtu --resume
 
 N steps write N + 1 frames; fluid_0000 is the state before the first step. The shipped scenes are
-dam_break, two_bodies and emitter_step.")]
+dam_break, two_bodies, emitter_step and obstacle_course.")]
 pub struct Args {
     /// A scene file (JSON), or the name of a shipped scene.
     scene: String,
