@@ -18,12 +18,7 @@ fn block() -> Particles {
     let position = (0..count)
         .map(|i| [i % SIDE, i / SIDE % SIDE, i / (SIDE * SIDE)].map(|cell| cell as f32 * SPACING))
         .collect();
-    Particles {
-        position,
-        velocity: vec![[0.0; 3]; count],
-        id: (0..count as u32).collect(),
-        body: vec![0; count],
-    }
+    Particles::of_one_body(position, vec![[0.0; 3]; count])
 }
 
 fn floor() -> Boundary {

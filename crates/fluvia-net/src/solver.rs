@@ -135,6 +135,7 @@ impl Solver for NetSolver {
                 substeps: 1,
                 max_neighbors: 0,
                 neighbor_radius: network.config().filter_radius,
+                ..StepInfo::default()
             });
         }
         step.correct(network, &mut particles.position, &mut particles.velocity);
@@ -142,6 +143,7 @@ impl Solver for NetSolver {
             substeps: 1,
             max_neighbors: step.neighbor_counts().into_iter().max().unwrap_or(0),
             neighbor_radius: network.config().filter_radius,
+            ..StepInfo::default()
         })
     }
 }

@@ -17,6 +17,7 @@ fn particles(count: usize, numbers: &mut Numbers) -> Particles {
         velocity: (0..count).map(|_| numbers.point(1.0)).collect(),
         id: (0..count as u32).collect(),
         body: (0..count as u32).map(|i| i % 2).collect(),
+        memory: Vec::new(),
     }
 }
 

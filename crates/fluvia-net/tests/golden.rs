@@ -62,9 +62,8 @@ impl Golden {
 
     fn particles(&self) -> Particles {
         let position = self.points("pos");
-        let count = position.len();
         let velocity = self.points("vel");
-        Particles { position, velocity, id: (0..count as u32).collect(), body: vec![0; count] }
+        Particles::of_one_body(position, velocity)
     }
 
     fn boundary(&self) -> Boundary {

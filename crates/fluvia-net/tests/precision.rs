@@ -18,8 +18,7 @@ fn state(path: &Path) -> (Particles, Boundary) {
         arrays[name].values.chunks_exact(3).map(|p| [p[0] as f32, p[1] as f32, p[2] as f32]).collect()
     };
     let (position, velocity) = (points("pos"), points("vel"));
-    let count = position.len();
-    let particles = Particles { position, velocity, id: (0..count as u32).collect(), body: vec![0; count] };
+    let particles = Particles::of_one_body(position, velocity);
     (particles, Boundary { position: points("box"), normal: points("box_normals") })
 }
 

@@ -31,7 +31,7 @@ mod vtu_data;
 
 pub use atomic::{read_json, write_atomically, write_json};
 pub use run::{FrameFile, Mode, RunDirectory};
-pub use state::{SolverArray, State};
+pub use state::State;
 
 /// What a particle file holds; every vector present has one entry a particle.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -7,6 +7,7 @@
 //! Units are metres, seconds and kilograms; y is up in the shipped scenes. Files are touched only in
 //! [`scene`], [`mesh`] and [`frames`].
 
+pub mod dfsph;
 pub mod frames;
 pub mod kernel;
 pub mod mesh;
@@ -17,8 +18,12 @@ pub mod rollout;
 pub mod sampling;
 pub mod scene;
 pub mod shapes;
+pub mod substep;
 
 mod error;
+mod parallel;
+mod vector;
+mod walls;
 
 pub use error::Error;
 

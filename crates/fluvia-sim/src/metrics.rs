@@ -51,10 +51,24 @@ pub fn outside(positions: &[[f32; 3]], bounds: &Bounds, slack: f32) -> usize {
 /// 4 r and the wall volumes of Akinci et al. (2012). `walls` may be empty.
 pub fn density_ratios(positions: &[[f32; 3]], walls: &[[f32; 3]], particle_radius: f32) -> Vec<f32> {
     let kernel = CubicSpline::new(SUPPORT_IN_RADII * particle_radius);
+    density_ratios_within(positions, (walls, &wall_volumes(walls, &kernel)), particle_radius)
+}
+
+/// [`density_ratios`] within walls whose volumes are known ([`wall_volumes`]).
+///
+/// # Panics
+/// If there is not one volume per wall particle.
+pub fn density_ratios_within(
+    positions: &[[f32; 3]],
+    (walls, volumes): (&[[f32; 3]], &[f32]),
+    particle_radius: f32,
+) -> Vec<f32> {
+    assert_eq!(walls.len(), volumes.len(), "one volume per wall particle");
+    let kernel = CubicSpline::new(SUPPORT_IN_RADII * particle_radius);
     let fluid = vec![particle_volume(particle_radius); positions.len()];
     let mut ratios = kernel_sums(positions, positions, &fluid, &kernel);
     if !walls.is_empty() {
-        let from_walls = kernel_sums(positions, walls, &wall_volumes(walls, &kernel), &kernel);
+        let from_walls = kernel_sums(positions, walls, volumes, &kernel);
         ratios.iter_mut().zip(from_walls).for_each(|(ratio, wall)| *ratio += wall);
     }
     ratios
@@ -73,6 +87,55 @@ pub fn mean_compression(density_ratios: &[f32]) -> f64 {
 /// The mean of |v|² / 2, joules per kilogram; 0 without particles.
 pub fn kinetic_energy(velocities: &[[f32; 3]]) -> f64 {
     mean(velocities.iter().map(|v| 0.5 * v.iter().map(|&c| f64::from(c).powi(2)).sum::<f64>()))
+}
+
+/// The mean of -g · x, joules per kilogram; 0 without particles.
+pub fn potential_energy(positions: &[[f32; 3]], gravity: [f32; 3]) -> f64 {
+    let g = gravity.map(f64::from);
+    mean(positions.iter().map(|x| -(0..3).map(|a| g[a] * f64::from(x[a])).sum::<f64>()))
+}
+
+/// The root mean square horizontal distance from the centre of mass, metres; `None` without particles.
+pub fn spread(positions: &[[f32; 3]]) -> Option<f64> {
+    let center = center_of_mass(positions)?;
+    let squared = |x: &[f32; 3]| [0, 2].map(|a| (f64::from(x[a]) - center[a]).powi(2)).iter().sum::<f64>();
+    Some(mean(positions.iter().map(squared)).sqrt())
+}
+
+/// The height of the surface, metres: the median over square columns of the given width of the highest particle in each
+/// that has one. `None` without particles.
+pub fn surface_height(positions: &[[f32; 3]], column: f32) -> Option<f32> {
+    let mut highest = std::collections::BTreeMap::new();
+    for x in positions {
+        let key = [0, 2].map(|a| (x[a] / column).floor() as i64);
+        let height = highest.entry(key).or_insert(f32::NEG_INFINITY);
+        *height = x[1].max(*height);
+    }
+    median(highest.into_values().collect())
+}
+
+/// The distance of every particle to the nearest other, metres; infinite for a particle alone.
+pub fn nearest_distances(positions: &[[f32; 3]], particle_radius: f32) -> Vec<f32> {
+    // Twice the spacing of a body: nearly all have a neighbour there.
+    let near = 4.0 * particle_radius;
+    let (mut grid, mut neighbors) = (Grid::new(), Neighbors::default());
+    grid.build(positions, near);
+    grid.search(positions, Radius::Uniform(near), &Options::default(), &mut neighbors);
+    let nearest = |i: usize| {
+        let to = |k: usize| distance(positions[i], positions[k]);
+        let found = neighbors.row(i).iter().map(|&k| k as usize).filter(|&k| k != i).map(to);
+        match found.fold(f32::INFINITY, f32::min) {
+            f32::INFINITY => (0..positions.len()).filter(|&k| k != i).map(to).fold(f32::INFINITY, f32::min),
+            nearest => nearest,
+        }
+    };
+    (0..positions.len()).into_par_iter().map(nearest).collect()
+}
+
+/// The middle of the values in their order, the upper one of two; `None` if there are none.
+pub fn median(mut values: Vec<f32>) -> Option<f32> {
+    values.sort_by(f32::total_cmp);
+    values.get(values.len() / 2).copied()
 }
 
 /// The mean position, metres; `None` without particles.
@@ -191,13 +254,24 @@ mod tests {
     }
 
     #[test]
+    fn potential_energy_spread_surface_and_nearest() {
+        let positions = [[0.0, 1.0, 0.0], [0.06, 3.0, 0.08], [0.5, 0.25, 0.5]];
+        let expected = 9.81 * 4.25 / 3.0;
+        assert!((potential_energy(&positions, [0.0, -9.81, 0.0]) - expected).abs() < 1e-5);
+        // The first two share a column of 0.1 m.
+        assert_eq!(surface_height(&positions, 0.1), Some(3.0));
+        assert_eq!(surface_height(&positions, 0.01), Some(1.0));
+        assert_eq!(spread(&[[0.3, 1.0, 0.4], [-0.3, 2.0, -0.4]]).map(|s| (1e6 * s).round()), Some(5e5));
+        let nearest = nearest_distances(&[[0.0; 3], [0.03, 0.0, 0.04], [0.0, 0.0, 9.0]], 0.025);
+        assert!((nearest[0] - 0.05).abs() < 1e-7 && nearest[0] == nearest[1], "{nearest:?}");
+        assert!(nearest[2] > 8.9, "{nearest:?}");
+        assert_eq!(nearest_distances(&[[0.0; 3]], 0.025), [f32::INFINITY]);
+        assert_eq!((surface_height(&[], 0.1), spread(&[]), median(Vec::new())), (None, None, None));
+    }
+
+    #[test]
     fn first_non_finite_names_row_and_quantity() {
-        let mut particles = Particles {
-            position: vec![[0.0; 3]; 3],
-            velocity: vec![[0.0; 3]; 3],
-            id: vec![0, 1, 2],
-            body: vec![0; 3],
-        };
+        let mut particles = Particles::of_one_body(vec![[0.0; 3]; 3], vec![[0.0; 3]; 3]);
         assert_eq!(first_non_finite(&particles), None);
         particles.velocity[1][2] = f32::INFINITY;
         particles.position[2][0] = f32::NAN;

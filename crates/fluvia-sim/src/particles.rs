@@ -2,7 +2,7 @@
 
 use crate::{Error, Result};
 
-/// The fluid particles; every vector has one entry a particle.
+/// The fluid particles; every vector has one entry a particle, `memory` may be empty.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Particles {
     /// Positions, metres.
@@ -13,9 +13,23 @@ pub struct Particles {
     pub id: Vec<u32>,
     /// The index of the scene's fluid (its emitter) that the particle came from.
     pub body: Vec<u32>,
+    /// What the solver keeps of each from step to step (DFSPH: the pressures that its two solvers start from); zeros
+    /// for a new particle. Empty where the solver keeps nothing.
+    pub memory: Vec<[f32; 2]>,
 }
 
 impl Particles {
+    /// One body, numbered from 0.
+    ///
+    /// # Panics
+    /// If there is not one velocity per position.
+    pub fn of_one_body(position: Vec<[f32; 3]>, velocity: Vec<[f32; 3]>) -> Particles {
+        let count = position.len();
+        assert_eq!(velocity.len(), count, "one velocity per position");
+        let id = (0..count as u32).collect();
+        Particles { position, velocity, id, body: vec![0; count], memory: Vec::new() }
+    }
+
     /// The number of particles.
     pub fn len(&self) -> usize {
         self.position.len()
@@ -36,6 +50,9 @@ impl Particles {
         retain(&mut self.velocity, keep);
         retain(&mut self.id, keep);
         retain(&mut self.body, keep);
+        if !self.memory.is_empty() {
+            retain(&mut self.memory, keep);
+        }
     }
 }
 
@@ -51,6 +68,18 @@ pub struct Boundary {
     pub position: Vec<[f32; 3]>,
     /// Unit normals that point into the fluid.
     pub normal: Vec<[f32; 3]>,
+}
+
+impl Boundary {
+    /// # Errors
+    /// `Parameter` if there is not one normal per position.
+    pub fn check(&self) -> Result<()> {
+        let (positions, normals) = (self.position.len(), self.normal.len());
+        if positions != normals {
+            return Err(Error::Parameter(format!("{positions} wall positions and {normals} normals")));
+        }
+        Ok(())
+    }
 }
 
 /// The external acceleration a_ext of Eq. 10, metres per second squared.

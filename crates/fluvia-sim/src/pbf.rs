@@ -27,37 +27,28 @@
 
 mod params;
 mod repulsion;
-mod vector;
-mod walls;
 
 use fluvia_neighbors::{Grid, Neighbors, Options, Radius};
 use rayon::prelude::*;
 
+use crate::Result;
 use crate::kernel::{CubicSpline, SUPPORT_IN_RADII, distance};
 use crate::metrics::{highest_speed, particle_volume};
+use crate::parallel::{CHUNK, most_neighbors, split_by_rows};
 use crate::particles::{Acceleration, Boundary, Particles};
 use crate::rollout::{Solver, StepInfo, positive};
-use crate::{Error, Result};
-pub use params::{Params, Substep};
+use crate::substep::{Substep, parts};
+use crate::vector::{Vector, add, add_scaled, dot, shorten, sub};
+use crate::walls::{MAX_REACH, Walls};
+pub use params::Params;
 use repulsion::{Repulsion, made_up_offset};
-use vector::{Vector, add, add_scaled, dot, shorten, sub};
-use walls::Walls;
 
 /// Substeps in a frame interval at most when they are shortened for fast particles.
 const MAX_SUBSTEPS: f64 = 100.0;
 
-/// More substeps than this in a frame interval are a slip in dt or in the substep.
-const TOO_MANY_SUBSTEPS: f32 = 1e5;
-
-/// The search for walls along a particle's way ends here, in support radii: bounds memory at absurd speeds.
-const MAX_REACH: f32 = 10.0;
-
 /// A correction in one iteration is at most this long, particle radii: a limit for wrong states, out of the
 /// way of right ones.
 const MAX_CORRECTION: f32 = 0.5;
-
-/// Particles that one task works on.
-const CHUNK: usize = 128;
 
 /// The solver for one set of walls.
 pub struct Pbf {
@@ -115,10 +106,7 @@ impl Pbf {
     pub fn new(params: Params, boundary: &Boundary, particle_radius: f32) -> Result<Pbf> {
         params.check()?;
         positive("particle radius", particle_radius)?;
-        let (positions, normals) = (boundary.position.len(), boundary.normal.len());
-        if positions != normals {
-            return Err(Error::Parameter(format!("{positions} wall positions and {normals} normals")));
-        }
+        boundary.check()?;
         let kernel = CubicSpline::new(SUPPORT_IN_RADII * particle_radius);
         Ok(Pbf {
             params,
@@ -154,7 +142,7 @@ impl Pbf {
             let way = h * dot(*velocity, *velocity).sqrt();
             reach[i] = (support + way).min(MAX_REACH * support);
         }
-        self.walls.search(position, reach, &mut self.near.walls);
+        self.walls.search(position, Radius::PerQuery(reach), &mut self.near.walls);
         let (walls, near, velocity) = (&self.walls, &self.near.walls, &*velocity);
         let ends = predicted.par_iter_mut().zip(free.par_iter_mut());
         position.par_iter_mut().zip(ends).enumerate().for_each(|(i, (start, (end, free)))| {
@@ -207,7 +195,7 @@ impl Pbf {
         let relaxation = params.relaxation / (support * support);
         let repulsion = Repulsion::new(params.artificial_pressure, kernel);
         let chunks = lambda.par_chunks_mut(CHUNK).zip(own.par_chunks_mut(CHUNK));
-        let factors = split_by_rows(factor, &fluid.row_splits, CHUNK);
+        let factors = split_by_rows(factor, &fluid.row_splits);
         chunks.zip(factors).enumerate().for_each(|(chunk, ((lambda, own), factors))| {
             let mut factors = factors.iter_mut();
             for (k, (lambda, own)) in lambda.iter_mut().zip(own).enumerate() {
@@ -303,8 +291,7 @@ impl Pbf {
                 (travel / speed.max(f64::MIN_POSITIVE)).max(least).min(f64::from(length))
             }
         };
-        // A hair of slack against rounding: 20 ms are five substeps of 4 ms, not six.
-        (remaining / longest - 1e-3).ceil().max(1.0) as u32
+        parts(remaining, longest)
     }
 }
 
@@ -319,13 +306,7 @@ impl Solver for Pbf {
         acceleration: Acceleration<'_>,
         dt: f32,
     ) -> Result<StepInfo> {
-        positive("dt", dt)?;
-        let (Substep::Fixed(length) | Substep::AtMost(length)) = self.params.substep;
-        if dt / length > TOO_MANY_SUBSTEPS {
-            let message =
-                format!("dt {dt} s in substeps of {length} s, expected at most {TOO_MANY_SUBSTEPS} of them");
-            return Err(Error::Parameter(message));
-        }
+        self.params.substep.check(dt)?;
         acceleration.check(particles.len())?;
         self.fluid.load(particles, acceleration, &mut self.grid, self.kernel.support());
         let mut info = StepInfo { neighbor_radius: self.kernel.support(), ..StepInfo::default() };
@@ -376,24 +357,4 @@ impl Fluid {
             to.velocity[row as usize] = self.velocity[i];
         }
     }
-}
-
-/// Cuts `values`, one per entry of neighbour rows, into one slice for every `chunk` rows.
-fn split_by_rows<'a>(values: &'a mut [f32], row_splits: &[usize], chunk: usize) -> Vec<&'a mut [f32]> {
-    let rows = row_splits.len().saturating_sub(1);
-    let mut rest = values;
-    let mut slices = Vec::with_capacity(rows.div_ceil(chunk));
-    for first in (0..rows).step_by(chunk) {
-        let count = row_splits[rows.min(first + chunk)] - row_splits[first];
-        let (slice, tail) = rest.split_at_mut(count);
-        slices.push(slice);
-        rest = tail;
-    }
-    slices
-}
-
-/// The largest number of neighbours besides the particle itself.
-fn most_neighbors(neighbors: &Neighbors) -> u32 {
-    let counts = (0..neighbors.queries()).map(|i| neighbors.count(i));
-    counts.max().unwrap_or(0).saturating_sub(1) as u32
 }

@@ -49,6 +49,8 @@ pub struct StepInfo {
     pub max_neighbors: u32,
     /// The radius within which they were counted, metres.
     pub neighbor_radius: f32,
+    /// Iterations of its solvers that ended at their limit, short of their tolerance.
+    pub unconverged: u32,
 }
 
 /// Everything that changes in a rollout: with the scene and the solver, enough to continue to the same bits.
@@ -75,6 +77,8 @@ pub struct Summary {
     pub removed: u64,
     /// The highest speed in any frame, metres per second.
     pub highest_speed: f32,
+    /// Iterations of the solver that ended at their limit, short of their tolerance.
+    pub unconverged: u64,
 }
 
 /// What one step did.
@@ -185,6 +189,7 @@ impl Rollout {
         let before = self.state.clone();
         self.state.particles = moved;
         self.state.step += 1;
+        self.state.summary.unconverged += u64::from(info.unconverged);
         let removed = self.remove_fallen();
         let emitted = match self.emit() {
             Ok(emitted) => emitted,
@@ -262,6 +267,9 @@ impl Rollout {
             particles.velocity.extend_from_slice(&emitter.velocity);
             particles.id.extend(*next_id..end);
             particles.body.resize(particles.position.len(), body as u32);
+            if !particles.memory.is_empty() {
+                particles.memory.resize(particles.position.len(), [0.0; 2]);
+            }
             *next_id = end;
         }
         Ok(particles.len() - before)

@@ -7,8 +7,9 @@ use std::path::Path;
 use common::{DT, GRAVITY, RADIUS, block, box_walls, particles};
 use fluvia_sim::metrics::{self, Bounds};
 use fluvia_sim::particles::{Acceleration, Boundary, Particles};
-use fluvia_sim::pbf::{Params, Pbf, Substep};
+use fluvia_sim::pbf::{Params, Pbf};
 use fluvia_sim::rollout::Solver;
+use fluvia_sim::substep::Substep;
 
 fn run(solver: &mut Pbf, particles: &mut Particles, frames: usize) {
     for _ in 0..frames {

@@ -49,7 +49,12 @@ impl Solver for Free {
         }
         self.step += 1;
         (self.spoil)(self.step, particles);
-        Ok(StepInfo { substeps: 1, max_neighbors: self.neighbors, neighbor_radius: 4.0 * RADIUS })
+        Ok(StepInfo {
+            substeps: 1,
+            max_neighbors: self.neighbors,
+            neighbor_radius: 4.0 * RADIUS,
+            ..StepInfo::default()
+        })
     }
 }
 

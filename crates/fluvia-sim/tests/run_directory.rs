@@ -13,12 +13,7 @@ use fluvia_sim::particles::{Boundary, Particles};
 const DT: f32 = 0.02;
 
 fn particles(count: usize) -> Particles {
-    Particles {
-        position: vec![[0.1, 0.2, 0.3]; count],
-        velocity: vec![[1.0, 2.0, 3.0]; count],
-        id: (0..count as u32).collect(),
-        body: vec![0; count],
-    }
+    Particles::of_one_body(vec![[0.1, 0.2, 0.3]; count], vec![[1.0, 2.0, 3.0]; count])
 }
 
 fn walls() -> Boundary {

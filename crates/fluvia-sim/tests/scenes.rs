@@ -218,12 +218,8 @@ impl Folder {
 
     /// Writes a particle file.
     fn particles(&self, name: &str, data: &ParticleData) {
-        let particles = Particles {
-            position: data.position.clone(),
-            velocity: data.velocity.clone().expect("velocities"),
-            id: (0..data.position.len() as u32).collect(),
-            body: vec![0; data.position.len()],
-        };
+        let velocity = data.velocity.clone().expect("velocities");
+        let particles = Particles::of_one_body(data.position.clone(), velocity);
         frames::write_fluid(&self.0.path().join(name), frames::Format::Npz, &particles).expect("writes");
     }
 }

@@ -288,12 +288,6 @@ fn load(path: &Path, config: &Config, (tiles, batch): (usize, usize)) -> Result<
     let repeat = |values: &[[f32; 3]], shift: f32| -> Vec<[f32; 3]> {
         (0..tiles).flat_map(|k| values.iter().map(move |x| [x[0] + k as f32 * shift, x[1], x[2]])).collect()
     };
-    let count = position.len() * tiles;
-    let particles = Particles {
-        position: repeat(&position, width),
-        velocity: repeat(&velocity, 0.0),
-        id: (0..count as u32).collect(),
-        body: vec![0; count],
-    };
+    let particles = Particles::of_one_body(repeat(&position, width), repeat(&velocity, 0.0));
     Ok((particles, Boundary { position: repeat(&wall, width), normal: repeat(&normal, 0.0) }))
 }

@@ -19,7 +19,7 @@ use std::process::ExitCode;
 use clap::{CommandFactory, Parser, Subcommand};
 
 /// Simulates fluids as particles: with the learned network of "Lagrangian Fluid Simulation with Continuous
-/// Convolutions" (Ummenhofer et al., ICLR 2020), or with position-based fluids.
+/// Convolutions" (Ummenhofer et al., ICLR 2020), or with divergence-free SPH or position-based fluids.
 ///
 /// Units are metres, seconds and kilograms; y is up.
 #[derive(Parser)]
@@ -41,7 +41,7 @@ enum Command {
     Simulate(simulate::Args),
     /// Draw frames: a picture, a contact sheet or a film.
     Render(render::Args),
-    /// Say what is in a file or in the directory of a run.
+    /// Say what is in a file, in the directory of a run or in a data set.
     Inspect(inspect::Args),
     /// Convert weights (.pt, .h5) to safetensors.
     Convert(convert::Args),

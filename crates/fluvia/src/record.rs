@@ -73,11 +73,14 @@ pub struct Summary {
     pub worst_outside: usize,
     /// Particles that fell out of the scene.
     pub removed: u64,
+    /// Iterations of the solver that ended at their limit, short of their tolerance.
+    #[serde(default)]
+    pub unconverged: u64,
 }
 
 impl Summary {
     pub fn new(state: &rollout::State, ms_per_step: f64) -> Summary {
-        let rollout::Summary { outside, worst_outside, removed, highest_speed } = state.summary;
+        let rollout::Summary { outside, worst_outside, removed, highest_speed, unconverged } = state.summary;
         Summary {
             particles: state.particles.len(),
             steps: state.step,
@@ -86,6 +89,7 @@ impl Summary {
             outside,
             worst_outside,
             removed,
+            unconverged,
         }
     }
 }

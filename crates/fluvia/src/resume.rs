@@ -96,9 +96,10 @@ pub fn write(directory: &mut RunDirectory, state: &rollout::State) -> Result<()>
 const OUTSIDE: &str = "outside";
 const WORST_OUTSIDE: &str = "worst_outside";
 const HIGHEST_SPEED: &str = "highest_speed";
+const UNCONVERGED: &str = "unconverged";
 
-fn to_disk(state: &rollout::State) -> frames::State {
-    let rollout::Summary { outside, worst_outside, removed, highest_speed } = state.summary;
+pub fn to_disk(state: &rollout::State) -> frames::State {
+    let rollout::Summary { outside, worst_outside, removed, highest_speed, unconverged } = state.summary;
     frames::State {
         step: state.step,
         particles: state.particles.clone(),
@@ -108,13 +109,13 @@ fn to_disk(state: &rollout::State) -> frames::State {
             (OUTSIDE.to_owned(), outside as f64),
             (WORST_OUTSIDE.to_owned(), worst_outside as f64),
             (HIGHEST_SPEED.to_owned(), f64::from(highest_speed)),
+            (UNCONVERGED.to_owned(), unconverged as f64),
         ]
         .into(),
-        arrays: Default::default(),
     }
 }
 
-fn from_disk(state: frames::State) -> rollout::State {
+pub fn from_disk(state: frames::State) -> rollout::State {
     let counter = |name: &str| state.counters.get(name).copied().unwrap_or_default();
     rollout::State {
         step: state.step,
@@ -124,6 +125,7 @@ fn from_disk(state: frames::State) -> rollout::State {
             worst_outside: counter(WORST_OUTSIDE) as usize,
             removed: state.removed,
             highest_speed: counter(HIGHEST_SPEED) as f32,
+            unconverged: counter(UNCONVERGED) as u64,
         },
         particles: state.particles,
     }

@@ -9,11 +9,14 @@ use std::time::Instant;
 use anyhow::{Context, Result, bail};
 use cconv::Kernel;
 use fluvia_net::weights;
+use fluvia_sim::dfsph;
 use fluvia_sim::frames::{Format, Mode, RunDirectory};
 use fluvia_sim::particles::{Acceleration, Particles};
-use fluvia_sim::pbf::{Params, Substep};
+
+use fluvia_sim::pbf;
 use fluvia_sim::rollout::{Rollout, Solver, StepReport};
 use fluvia_sim::scene::Setup;
+use fluvia_sim::substep::Substep;
 use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::options::{PrecisionName, positive, thread_pool, threads};
@@ -23,13 +26,13 @@ use crate::resume;
 use crate::solvers::Choice;
 
 /// The exit code of a run that Ctrl-C stopped, as shells give it to a process ended by that signal.
-const INTERRUPTED: u8 = 130;
+pub const INTERRUPTED: u8 = 130;
 
 /// Options of `fluvia simulate`.
 #[derive(clap::Args)]
 #[command(after_help = "\
 Examples:
-  fluvia simulate dam_break --steps 200 --out out/dam
+  fluvia simulate dam_break --solver dfsph --steps 200 --out out/dam
   fluvia simulate scene.json --weights pretrained_model_weights.pt --steps 250 --out out/net --format npz,vtu
   fluvia simulate scene.json --weights pretrained_model_weights.pt --steps 500 --out out/net --format npz,vtu --resume
 
@@ -62,10 +65,10 @@ pub struct Args {
     /// The format of the network's large matrix products.
     #[arg(long, value_enum, default_value_t = PrecisionName::F32, requires = "weights")]
     precision: PrecisionName,
-    /// The solver's own step, seconds (pbf): an interval is cut into equal parts that are no longer.
+    /// The solver's own step, seconds (dfsph, pbf): an interval is cut into equal parts that are no longer.
     #[arg(long, value_name = "SECONDS", value_parser = positive, conflicts_with_all = ["weights", "solver_dt_max"])]
     solver_dt: Option<f32>,
-    /// The solver's longest step, seconds (pbf; 0.004 if not given).
+    /// The solver's longest step, seconds, shorter while particles are fast; if not given 0.005 (dfsph), 0.004 (pbf).
     #[arg(long, value_name = "SECONDS", value_parser = positive, conflicts_with = "weights")]
     solver_dt_max: Option<f32>,
     /// Go on with the run in the directory.
@@ -81,8 +84,26 @@ pub struct Args {
 
 #[derive(Clone, Copy, clap::ValueEnum)]
 enum SolverName {
+    /// Divergence-free SPH (Bender & Koschier 2015), the solver of the published data.
+    Dfsph,
     /// Position-based fluids (Macklin & Müller 2013).
     Pbf,
+}
+
+impl SolverName {
+    /// The solver with its default parameters but for the step.
+    fn choice(self, substep: Option<Substep>) -> Choice {
+        match self {
+            SolverName::Dfsph => {
+                let default = dfsph::Params::default();
+                Choice::Dfsph(dfsph::Params { substep: substep.unwrap_or(default.substep), ..default })
+            }
+            SolverName::Pbf => {
+                let default = pbf::Params::default();
+                Choice::Pbf(pbf::Params { substep: substep.unwrap_or(default.substep), ..default })
+            }
+        }
+    }
 }
 
 impl Args {
@@ -129,6 +150,9 @@ fn prepare(args: &Args, report: &Report) -> Result<Prepared> {
     solver
         .step(&mut Particles::default(), Acceleration::Uniform(setup.gravity), setup.dt)
         .with_context(|| format!("{}: `dt`", args.scene))?;
+    if let Some(warning) = choice.warning(&scene) {
+        report.warning(warning);
+    }
     if setup.emitters.iter().all(|emitter| emitter.start > args.steps) {
         report.warning(format_args!("no particles within {} steps: every fluid starts later", args.steps));
     }
@@ -165,14 +189,11 @@ fn prepare(args: &Args, report: &Report) -> Result<Prepared> {
 
 fn choose(args: &Args) -> Result<(Choice, Option<Source>)> {
     let Some(path) = &args.weights else {
-        let SolverName::Pbf = args.solver;
-        let mut params = Params::default();
-        match (args.solver_dt, args.solver_dt_max) {
-            (Some(dt), _) => params.substep = Substep::Fixed(dt),
-            (None, Some(dt)) => params.substep = Substep::AtMost(dt),
-            (None, None) => {}
-        }
-        return Ok((Choice::Pbf(params), None));
+        let substep = match (args.solver_dt, args.solver_dt_max) {
+            (Some(dt), _) => Some(Substep::Fixed(dt)),
+            (None, dt) => dt.map(Substep::AtMost),
+        };
+        return Ok((args.solver.choice(substep), None));
     };
     let (bytes, source) = record::read_source(path)?;
     let weights = weights::from_bytes(path, bytes)?;
@@ -253,6 +274,7 @@ struct Warned {
     outside: bool,
     piled_up: bool,
     removed: bool,
+    unconverged: bool,
 }
 
 impl Warned {
@@ -266,6 +288,9 @@ impl Warned {
         if step.removed > 0 && !std::mem::replace(&mut self.removed, true) {
             let particles = counted(step.removed, "particle");
             warnings.push(format!("step {frame}: {particles} removed, fallen out of the scene"));
+        }
+        if step.solver.unconverged > 0 && !std::mem::replace(&mut self.unconverged, true) {
+            warnings.push(format!("step {frame}: the solver stopped at its limit of iterations"));
         }
         if step.piled_up && !std::mem::replace(&mut self.piled_up, true) {
             warnings.push(format!(

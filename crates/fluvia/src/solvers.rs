@@ -7,17 +7,23 @@ use cconv::Kernel;
 use fluvia_net::config::Config;
 use fluvia_net::solver::NetSolver;
 use fluvia_net::weights::Weights;
-use fluvia_sim::pbf::{Params, Pbf, Substep};
+use fluvia_sim::dfsph::{self, Dfsph, Liquid};
+use fluvia_sim::pbf::{self, Pbf};
 use fluvia_sim::rollout::Solver;
-use fluvia_sim::scene::{Scene, Setup};
+use fluvia_sim::scene::{Material, Scene, Setup};
+use fluvia_sim::substep::Substep;
 use serde_json::json;
 
 use crate::options::PrecisionName;
 use crate::record::decimal;
 
+/// The step of DFSPH in the published data, seconds.
+pub const PUBLISHED_STEP: f32 = 1e-3;
+
 /// A solver by its parameters.
 pub enum Choice {
-    Pbf(Params),
+    Dfsph(dfsph::Params),
+    Pbf(pbf::Params),
     Network(Box<Weights>, PrecisionName),
 }
 
@@ -29,6 +35,7 @@ impl Choice {
     /// One line that names the scene file, the key and the value that would be honoured.
     pub fn adapt(&self, scene: &mut Scene) -> Result<()> {
         match self {
+            Choice::Dfsph(_) => check_dfsph(scene),
             Choice::Pbf(_) => check_pbf(scene),
             Choice::Network(weights, _) => {
                 check_network(scene, &weights.config)?;
@@ -39,9 +46,29 @@ impl Choice {
         }
     }
 
+    /// What will surprise though the solver takes the scene.
+    pub fn warning(&self, scene: &Scene) -> Option<String> {
+        let Choice::Dfsph(dfsph::Params { substep, .. }) = self else { return None };
+        let given =
+            scene.fluids.iter().filter_map(|fluid| fluid.material.viscosity.or(scene.material.viscosity));
+        let highest = given.reduce(f32::max)?;
+        if *substep == Substep::Fixed(PUBLISHED_STEP) || highest <= Liquid::default().viscosity {
+            return None;
+        }
+        Some(format!(
+            "{}: viscosity {highest} acts once a step of the solver, and is that of the published data with \
+             --solver-dt {PUBLISHED_STEP}",
+            scene.path.display()
+        ))
+    }
+
     /// Makes the solver for the walls of a set-up.
     pub fn make(&self, setup: &Setup, kernel: Kernel) -> Result<Box<dyn Solver>> {
         Ok(match self {
+            Choice::Dfsph(params) => {
+                let liquids: Vec<_> = setup.emitters.iter().map(|emitter| liquid(emitter.material)).collect();
+                Box::new(Dfsph::new(*params, &setup.boundary, setup.particle_radius, &liquids)?)
+            }
             Choice::Pbf(params) => Box::new(Pbf::new(*params, &setup.boundary, setup.particle_radius)?),
             Choice::Network(weights, precision) => {
                 let viscosity: Vec<_> = setup.emitters.iter().map(|e| e.material.viscosity).collect();
@@ -55,7 +82,7 @@ impl Choice {
     pub fn kernel_name(&self, kernel: Kernel) -> &'static str {
         match self {
             // Plain Rust: the compiler's baseline for the target.
-            Choice::Pbf(_) => "portable",
+            Choice::Dfsph(_) | Choice::Pbf(_) => "portable",
             Choice::Network(..) => kernel.name(),
         }
     }
@@ -63,11 +90,21 @@ impl Choice {
     /// The parameters as they are recorded.
     pub fn parameters(&self) -> serde_json::Value {
         match self {
+            Choice::Dfsph(params) => {
+                let (kind, seconds) = step(params.substep);
+                json!({
+                    kind: decimal(seconds),
+                    "travel": decimal(params.travel),
+                    "density_tolerance": decimal(params.density_tolerance),
+                    "divergence_tolerance": decimal(params.divergence_tolerance),
+                    "min_iterations": params.min_iterations,
+                    "max_iterations": params.max_iterations,
+                    "viscosity_tolerance": decimal(params.viscosity_tolerance),
+                    "max_viscosity_iterations": params.max_viscosity_iterations,
+                })
+            }
             Choice::Pbf(params) => {
-                let (kind, seconds) = match params.substep {
-                    Substep::Fixed(seconds) => ("solver_dt", seconds),
-                    Substep::AtMost(seconds) => ("solver_dt_max", seconds),
-                };
+                let (kind, seconds) = step(params.substep);
                 json!({
                     kind: decimal(seconds),
                     "travel": decimal(params.travel),
@@ -94,6 +131,35 @@ impl Choice {
             }
         }
     }
+}
+
+/// How the solver's own step is recorded: its key and the seconds.
+fn step(substep: Substep) -> (&'static str, f32) {
+    match substep {
+        Substep::Fixed(seconds) => ("solver_dt", seconds),
+        Substep::AtMost(seconds) => ("solver_dt_max", seconds),
+    }
+}
+
+/// The material of a fluid for DFSPH.
+fn liquid(material: Material) -> Liquid {
+    let default = Liquid::default();
+    Liquid {
+        viscosity: material.viscosity.unwrap_or(default.viscosity),
+        density: material.density.unwrap_or(default.density),
+    }
+}
+
+fn check_dfsph(scene: &Scene) -> Result<()> {
+    let path = scene.path.display();
+    let materials =
+        scene.fluids.iter().enumerate().map(|(i, fluid)| (format!("fluids[{i}]."), fluid.material));
+    for (prefix, material) in std::iter::once((String::new(), scene.material)).chain(materials) {
+        if let Some(value) = material.viscosity.filter(|value| !(0.0..=1.0).contains(value)) {
+            bail!("{path}: `{prefix}viscosity`: {value}, but the solver dfsph takes 0 to 1");
+        }
+    }
+    Ok(())
 }
 
 fn check_pbf(scene: &Scene) -> Result<()> {

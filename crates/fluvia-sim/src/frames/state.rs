@@ -1,7 +1,7 @@
 //! The state file of a run: everything that a killed run needs to go on to the same bits.
 //!
 //! It is an npz archive, so that it can be looked at with NumPy: `format`, `step`, `next_id`, `removed`, the particles as
-//! in a frame, `counter/NAME` for statistics and `solver/NAME` (N, width) for what a solver keeps per particle. It is
+//! in a frame, `memory` (N, 2) if the solver keeps something of each particle, and `counter/NAME` for statistics. It is
 //! written after the frames of its step: they are whole when it names them.
 
 use std::collections::BTreeMap;
@@ -26,17 +26,6 @@ pub struct State {
     pub removed: u64,
     /// The caller's statistics, by name; any bits, also those that are not finite.
     pub counters: BTreeMap<String, f64>,
-    /// What the solver keeps for every particle, by name.
-    pub arrays: BTreeMap<String, SolverArray>,
-}
-
-/// Numbers that a solver keeps for every particle.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct SolverArray {
-    /// Numbers a particle.
-    pub width: usize,
-    /// `width` numbers a particle, particle after particle.
-    pub values: Vec<f32>,
 }
 
 impl State {
@@ -47,19 +36,14 @@ impl State {
     pub fn save(&self, path: &Path) -> Result<()> {
         let particles = &self.particles;
         let count = particles.len();
-        let bad = |name: &str| {
-            Error::Parameter(format!("state: '{name}' has not one entry for each of {count} particles"))
-        };
-        let fits = [particles.velocity.len(), particles.id.len(), particles.body.len()];
-        if fits.iter().any(|&length| length != count) {
-            return Err(bad("particles"));
+        let memory = particles.memory.len();
+        let lengths = [particles.velocity.len(), particles.id.len(), particles.body.len()];
+        if lengths.iter().any(|&length| length != count) || (memory != 0 && memory != count) {
+            let message = format!(
+                "state of {count} positions has {lengths:?} velocities, ids, bodies and {memory} memories"
+            );
+            return Err(Error::Parameter(message));
         }
-        if let Some((name, _)) =
-            self.arrays.iter().find(|(_, array)| array.values.len() != array.width * count)
-        {
-            return Err(bad(name));
-        }
-
         let (format, step, removed, next_id) = ([FORMAT], [self.step], [self.removed], [self.next_id]);
         let one = |name: &str| (name.to_owned(), Vec::new());
         let vector = |name: &str| (name.to_owned(), vec![count, 3]);
@@ -77,9 +61,9 @@ impl State {
         for (name, value) in &self.counters {
             arrays.push((one(&format!("{COUNTER}{name}")), Values::F64(std::slice::from_ref(value))));
         }
-        for (name, array) in &self.arrays {
-            let shape = vec![count, array.width];
-            arrays.push(((format!("{SOLVER}{name}"), shape), Values::F32(&array.values)));
+        if memory > 0 {
+            arrays
+                .push((("memory".to_owned(), vec![count, 2]), Values::F32(particles.memory.as_flattened())));
         }
         write_atomically(path, |out| {
             npz::write_arrays(arrays.into_iter().map(|((name, shape), values)| (name, shape, values)), out)
@@ -99,7 +83,6 @@ impl State {
 /// The version of this layout.
 const FORMAT: u32 = 1;
 const COUNTER: &str = "counter/";
-const SOLVER: &str = "solver/";
 
 fn parse(bytes: &[u8]) -> Parsed<State> {
     let mut arrays = npz::parse_arrays(bytes)?;
@@ -115,27 +98,23 @@ fn parse(bytes: &[u8]) -> Parsed<State> {
         velocity: data.velocity.ok_or_else(|| missing("vel"))?,
         id: data.id.ok_or_else(|| missing("id"))?,
         body: data.body.ok_or_else(|| missing("body"))?,
+        memory: Vec::new(),
     };
     let next_id = whole(&arrays, "next_id")?;
     let next_id = u32::try_from(next_id).map_err(|_| format!("'next_id' is {next_id}, expected 32 bits"))?;
     let (step, removed) = (whole(&arrays, "step")?, whole(&arrays, "removed")?);
     let mut state = State { step, particles, next_id, removed, ..State::default() };
-    while let Some((name, array)) = arrays.pop_first() {
+    if let Some(memory) = arrays.remove("memory") {
+        if memory.shape != [count, 2] {
+            return Err(format!("array 'memory' has shape {:?}, expected ({count}, 2)", memory.shape));
+        }
+        let pairs = memory.values.chunks_exact(2).map(|pair| [pair[0] as f32, pair[1] as f32]);
+        state.particles.memory = pairs.collect();
+    }
+    for (name, array) in arrays {
         if let Some(counter) = name.strip_prefix(COUNTER) {
             let [value] = array.values[..] else { return Err(format!("'{name}' is not one number")) };
             state.counters.insert(counter.to_owned(), value);
-        } else if let Some(solver) = name.strip_prefix(SOLVER) {
-            let width = match array.shape[..] {
-                [rows, width] if rows == count => width,
-                _ => {
-                    return Err(format!(
-                        "array '{name}' has shape {:?}, expected ({count}, width)",
-                        array.shape
-                    ));
-                }
-            };
-            let values = array.values.into_iter().map(|value| value as f32).collect();
-            state.arrays.insert(solver.to_owned(), SolverArray { width, values });
         }
     }
     Ok(state)

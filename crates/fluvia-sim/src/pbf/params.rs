@@ -1,17 +1,8 @@
 //! The parameters of position-based fluids, their defaults and their ranges.
 
 use crate::rollout::positive;
+use crate::substep::Substep;
 use crate::{Error, Result};
-
-/// How a frame interval is divided. Frame times are hit exactly: the interval is cut into equal parts no
-/// longer than asked for.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Substep {
-    /// dt in equal parts, as few as are no longer than this, seconds.
-    Fixed(f32),
-    /// At most this long, seconds, and shorter while particles are fast ([`Params::travel`]).
-    AtMost(f32),
-}
 
 /// Parameters of the solver. h is the support radius of the kernel, 4 particle radii.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -64,8 +55,7 @@ impl Default for Params {
 impl Params {
     /// An error that names the first parameter out of range.
     pub(super) fn check(&self) -> Result<()> {
-        let (Substep::Fixed(substep) | Substep::AtMost(substep)) = self.substep;
-        positive("substep", substep)?;
+        positive("substep", self.substep.longest())?;
         positive("travel", self.travel)?;
         positive("damping", self.damping)?;
         positive("wall_clearance", self.wall_clearance)?;

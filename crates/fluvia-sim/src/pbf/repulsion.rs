@@ -1,7 +1,7 @@
 //! What keeps particles from clumping: the artificial pressure, and a way out of the same place.
 
-use super::vector::Vector;
 use crate::kernel::CubicSpline;
+use crate::vector::Vector;
 
 /// |Δq| of Eq. 13 in support radii, within the paper's 0.1 to 0.3.
 const ARTIFICIAL_PRESSURE_DISTANCE: f32 = 0.2;

@@ -54,12 +54,7 @@ pub fn block(first: [f32; 3], count: [usize; 3]) -> Vec<[f32; 3]> {
 /// Particles with one velocity, numbered from 0.
 pub fn particles(position: Vec<[f32; 3]>, velocity: [f32; 3]) -> Particles {
     let count = position.len();
-    Particles {
-        position,
-        velocity: vec![velocity; count],
-        id: (0..count as u32).collect(),
-        body: vec![0; count],
-    }
+    Particles::of_one_body(position, vec![velocity; count])
 }
 
 /// A body that is emitted in steps `start`, `start + step`, ... below `stop`.

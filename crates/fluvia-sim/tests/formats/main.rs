@@ -7,7 +7,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use fluvia_sim::Error;
-use fluvia_sim::frames::{self, Format, ParticleData, SolverArray, State};
+use fluvia_sim::frames::{self, Format, ParticleData, State};
 use fluvia_sim::particles::{Boundary, Particles};
 
 mod damage;
@@ -58,6 +58,7 @@ fn particles(count: usize) -> Particles {
         // Identities rise, as in a run: bgeo readers sort by them.
         id: (0..count).map(|i| if i + 1 == count { i32::MAX as u32 } else { 3 * i as u32 }).collect(),
         body: (0..count).map(|i| i as u32 % 3).collect(),
+        memory: Vec::new(),
     }
 }
 
@@ -77,15 +78,13 @@ fn file_of(format: Format, count: usize) -> Vec<u8> {
 fn state() -> State {
     State {
         step: 12,
-        particles: particles(5),
+        particles: Particles {
+            memory: vec![[0.1, -0.0], [3.0, f32::MAX], [1.0 / 7.0, 4.0], [0.0; 2], [-5.0, 1e-40]],
+            ..particles(5)
+        },
         next_id: u32::MAX,
         removed: 3,
         counters: [("highest speed".into(), f64::NEG_INFINITY), ("mean".into(), 0.1)].into(),
-        arrays: [
-            ("pressure".into(), SolverArray { width: 1, values: vec![0.1, -0.0, 3.0, 4.0, f32::MAX] }),
-            ("stress/xx".into(), SolverArray { width: 2, values: (0..10).map(|i| i as f32 / 7.0).collect() }),
-        ]
-        .into(),
     }
 }
 
@@ -159,8 +158,8 @@ fn a_state_reads_back_to_the_same_bits() {
     let message = one_line(&State::load(&path).unwrap_err(), &path);
     assert!(message.contains("no state"), "{message}");
     let mut odd = state();
-    odd.arrays.get_mut("pressure").unwrap().values.pop();
-    assert!(matches!(odd.save(&path), Err(Error::Parameter(message)) if message.contains("pressure")));
+    odd.particles.memory.pop();
+    assert!(matches!(odd.save(&path), Err(Error::Parameter(message)) if message.contains("4 memories")));
 }
 
 #[test]

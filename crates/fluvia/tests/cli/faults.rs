@@ -106,7 +106,18 @@ fn keys_that_a_solver_cannot_honour() {
     folder.fail(RUN, &["scene.json", "`fluids[0].viscosity`", "pbf"]);
     // A time step that the solver cannot take, found before anything is written.
     folder.write("scene.json", SCENE);
-    folder.fail(&format!("{RUN} --solver-dt 1e-9"), &["0.02", "substeps"]);
+    folder.fail(&format!("{RUN} --solver-dt 1e-9"), &["0.02", "100000"]);
+    // DFSPH takes any viscosity up to 1, and says what it depends on.
+    let dfsph = format!("{RUN} --solver dfsph");
+    folder.write("scene.json", scene_of(r#""shape": "box", "scale": 0.2, "viscosity": 1.5"#));
+    folder.fail(&dfsph, &["scene.json", "`fluids[0].viscosity`", "1.5", "dfsph takes 0 to 1"]);
+    folder.write("scene.json", scene_with(r#""viscosity": 0.2, "density": 900"#));
+    let warned = |more: &str| folder.succeed(&format!("{dfsph} --overwrite {more}")).stderr;
+    assert!(
+        warned("").contains("warning: scene.json: viscosity 0.2") && warned("").contains("--solver-dt 0.001")
+    );
+    assert_eq!(warned("--solver-dt 0.001"), "");
+    std::fs::remove_dir_all(folder.path("out")).expect("the run");
     // What they were made for, and what Eq. 10 honours, is no fault.
     folder.write(
         "scene.json",

@@ -7,9 +7,9 @@
 
 use fluvia_neighbors::{Grid, Neighbors, Options, Radius};
 
-use super::vector::{Vector, add_scaled, dot, sub};
 use crate::kernel::{CubicSpline, wall_volumes};
 use crate::particles::Boundary;
+use crate::vector::{Vector, add_scaled, dot, sub};
 
 /// Planes that one position is held in front of: a corner of a box has three.
 const PLANES: usize = 3;
@@ -27,6 +27,9 @@ const FLAT: f32 = 1e-3;
 
 /// Pieces of path that one move is checked in at most, so that absurd speeds cost bounded time.
 const PATH_PIECES: f32 = 256.0;
+
+/// The search for walls along a particle's way ends here, in support radii: bounds memory at absurd speeds.
+pub const MAX_REACH: f32 = 10.0;
 
 /// Wall particles, prepared once.
 pub struct Walls {
@@ -58,9 +61,9 @@ impl Walls {
         }
     }
 
-    /// The wall particles within its radius of each position.
-    pub fn search(&mut self, positions: &[Vector], radii: &[f32], neighbors: &mut Neighbors) {
-        self.grid.search(positions, Radius::PerQuery(radii), &Options::default(), neighbors);
+    /// The wall particles within the radius of each position.
+    pub fn search(&mut self, positions: &[Vector], radius: Radius<'_>, neighbors: &mut Neighbors) {
+        self.grid.search(positions, radius, &Options::default(), neighbors);
     }
 
     /// Moves a particle from `start` to `end`, but not through the wall particles `near` the way: the path is
