@@ -24,6 +24,7 @@ pub mod npz;
 mod numbers;
 mod ply;
 pub mod run;
+pub mod sequence;
 pub mod state;
 mod vtk;
 mod vtu;
@@ -31,6 +32,7 @@ mod vtu_data;
 
 pub use atomic::{read_json, write_atomically, write_json};
 pub use run::{FrameFile, Mode, RunDirectory};
+pub use sequence::Sequence;
 pub use state::State;
 
 /// What a particle file holds; every vector present has one entry a particle.

@@ -1,16 +1,19 @@
-//! `fluvia inspect`: what is in a file or in the directory of a run.
+//! `fluvia inspect`: what is in a file, in the directory of a run or in a data set.
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::{Context, Result, bail};
 use fluvia_net::weights::{self, Summary as WeightSummary};
-use fluvia_sim::frames::{self, Format, ParticleData, run};
+use fluvia_sim::frames::{self, Format, ParticleData, run, sequence};
 use fluvia_sim::mesh::TriangleMesh;
 use fluvia_sim::metrics::{self, Bounds};
-use fluvia_sim::scene::Placement;
+use fluvia_sim::scene::{DEFAULT_DT, Placement};
 use serde_json::{Value, json};
 
+use crate::data_set;
+use crate::frame_source::NO_FRAMES;
+use crate::options::positive;
 use crate::record::{self, decimal};
 use crate::report::Report;
 
@@ -20,11 +23,17 @@ use crate::report::Report;
 Examples:
   fluvia inspect pretrained_model_weights.pt
   fluvia inspect out/dam
+  fluvia inspect data/valid/sim_0206
+  fluvia inspect data
   fluvia inspect scene.json --json")]
 pub struct Args {
     /// Weights (.pt, .h5, .safetensors), a scene (.json), particles or a frame (.npz, .ply, .bgeo, .vtu, .vtk), a
-    /// mesh (.obj, .ply, .stl), the directory of a run, or the name of a shipped scene.
+    /// mesh (.obj, .ply, .stl), the directory of a run, a sequence (its folder, a part file, or the common prefix of its
+    /// parts), the folder of a data set, or the name of a shipped scene.
     path: PathBuf,
+    /// Seconds between the frames of sequences, which do not record it.
+    #[arg(long, value_name = "SECONDS", value_parser = positive, default_value_t = DEFAULT_DT)]
+    dt: f32,
     /// Print a JSON object.
     #[arg(long)]
     json: bool,
@@ -32,7 +41,7 @@ pub struct Args {
 
 pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
     let path = &args.path;
-    let found = if path.is_dir() { directory(path)? } else { file(path)? };
+    let found = if path.is_dir() { directory(path, args.dt, report)? } else { file(path, args.dt)? };
     if args.json {
         report.result(serde_json::to_string(&found)?)?;
     } else {
@@ -43,7 +52,10 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-fn file(path: &Path) -> Result<Value> {
+fn file(path: &Path, dt: f32) -> Result<Value> {
+    if let Some(files) = sequence::find(path)?.pop() {
+        return data_set::sequence(files, dt);
+    }
     let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or_default();
     match extension.to_ascii_lowercase().as_str() {
         "pt" | "pth" | "h5" | "hdf5" | "keras" | "safetensors" => Ok(weight_file(&weights::summarize(path)?)),
@@ -63,7 +75,8 @@ fn file(path: &Path) -> Result<Value> {
         _ if Format::from_path(path).is_some() => Ok(particle_file(&frames::read(path)?)),
         _ => bail!(
             "{}: not a kind of file that is known by its name, expected weights (.pt, .h5, .safetensors), a scene \
-             (.json), particles (.npz, .ply, .bgeo, .vtu, .vtk) or a mesh (.obj, .ply, .stl)",
+             (.json), particles (.npz, .ply, .bgeo, .vtu, .vtk), a mesh (.obj, .ply, .stl) or a part of a sequence \
+             (.msgpack.zst)",
             path.display()
         ),
     }
@@ -198,13 +211,11 @@ fn particle_file(particles: &ParticleData) -> Value {
     found
 }
 
-fn directory(path: &Path) -> Result<Value> {
+fn directory(path: &Path, dt: f32, report: &Report) -> Result<Value> {
     let files = run::list(path)?;
     let (Some(first), Some(last)) = (files.first(), files.last()) else {
-        bail!(
-            "{}: no frames, expected the directory of a run with fluid_0000.npz or the like",
-            path.display()
-        );
+        let data_set = data_set::folder(path, dt, report)?;
+        return data_set.with_context(|| format!("{}: {NO_FRAMES}", path.display()));
     };
     let record_path = path.join(run::RECORD);
     let record: Value = if record_path.exists() { frames::read_json(&record_path)? } else { Value::Null };
@@ -221,7 +232,8 @@ fn directory(path: &Path) -> Result<Value> {
     }))
 }
 
-fn bounds(points: &[[f32; 3]]) -> Option<[[f64; 3]; 2]> {
+/// The lowest and the highest coordinates, metres.
+pub fn bounds(points: &[[f32; 3]]) -> Option<[[f64; 3]; 2]> {
     Bounds::of(points).map(|bounds| [bounds.low.map(decimal), bounds.high.map(decimal)])
 }
 

@@ -4,7 +4,10 @@
 //! Ctrl-C with everything up to there on disk.
 
 mod bench;
+mod compare;
 mod convert;
+mod data_set;
+mod frame_source;
 mod inspect;
 mod options;
 mod record;
@@ -39,6 +42,8 @@ struct Cli {
 enum Command {
     /// Run a scene and write its frames.
     Simulate(simulate::Args),
+    /// Say how far two runs of a scene are apart.
+    Compare(compare::Args),
     /// Draw frames: a picture, a contact sheet or a film.
     Render(render::Args),
     /// Say what is in a file, in the directory of a run or in a data set.
@@ -59,6 +64,7 @@ fn main() -> ExitCode {
     let report = report::Report::new(cli.quiet, cli.verbose);
     let result = match cli.command {
         Command::Simulate(args) => simulate::run(&args, &report),
+        Command::Compare(args) => compare::run(&args, &report),
         Command::Render(args) => render::run(&args, &report),
         Command::Inspect(args) => inspect::run(&args, &report),
         Command::Convert(args) => convert::run(&args, &report),

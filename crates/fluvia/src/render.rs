@@ -9,11 +9,10 @@ use fluvia_render::{
     Camera, Frame, GifEncoder, Image, OutsideTest, Palette, Row, Scale, Sheet, Style, Subject, Tile, Values,
     View, Walls, encode_png, heights, sheet, speeds,
 };
-use fluvia_sim::frames::{self, ParticleData, run};
-use fluvia_sim::scene::{DEFAULT_DT, DEFAULT_PARTICLE_RADIUS};
+use fluvia_sim::frames::{self, ParticleData};
 
+use crate::frame_source::FrameSource;
 use crate::options::positive;
-use crate::record::Record;
 use crate::report::Report;
 
 /// Options of `fluvia render`.
@@ -24,12 +23,14 @@ Examples:
   fluvia render out/dam -o sheet.png --sheet 4x2
   fluvia render PBF=out/pbf network=out/net -o compare.png --frames 0,10,20,50,100 --title 'Two solvers'
   fluvia render out/dam -o film.gif --every 2 --size 360
+  fluvia render truth=data/valid/sim_0206 network=out/net -o compare.png --frames 0,10,20,50
 
 All pictures of a sheet or film share one camera and one colour scale. Orange particles are more than a radius
 behind the wall.")]
 pub struct Args {
-    /// Directories of frames, as `fluvia simulate` writes them; LABEL=DIR names one. Each is a row of a sheet.
-    #[arg(required = true, value_name = "FRAMES_DIR")]
+    /// Directories of frames, as `fluvia simulate` writes them, or sequences of a data set: the folder of one, a part
+    /// file, or the common prefix of its parts. LABEL=FRAMES names one. Each is a row of a sheet.
+    #[arg(required = true, value_name = "FRAMES")]
     runs: Vec<String>,
     /// The picture (.png) or film (.gif) to write.
     #[arg(short, long, value_name = "FILE")]
@@ -46,6 +47,9 @@ pub struct Args {
     /// Every K-th frame of a film, which plays at the speed of the simulation; 1 if not given.
     #[arg(long, value_name = "K")]
     every: Option<NonZeroUsize>,
+    /// Seconds between frames where that is not recorded, as in sequences; 0.02 if not given.
+    #[arg(long, value_name = "SECONDS", value_parser = positive)]
+    dt: Option<f32>,
     /// What colours show.
     #[arg(long, value_enum, default_value_t = Color::Speed)]
     color: Color,
@@ -125,7 +129,7 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
     if args.max_speed.is_some() && args.color != Color::Speed {
         bail!("--max-speed: the colours do not show speeds, expected --color speed");
     }
-    let runs = args.runs.iter().map(|text| Run::open(text)).collect::<Result<Vec<_>>>()?;
+    let mut runs = args.runs.iter().map(|text| Run::open(text, args.dt)).collect::<Result<Vec<_>>>()?;
     let rows = choose_frames(args, &runs, is_film)?;
     let moments = rows
         .iter()
@@ -134,16 +138,16 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
 
     let first = &runs[0];
     for run in &runs[1..] {
-        if (run.radius, run.up) != (first.radius, first.up) {
-            let (path, first) = (run.path.display(), first.path.display());
+        if (run.radius(), run.up) != (first.radius(), first.up) {
+            let (path, first) = (run.source.path().display(), first.source.path().display());
             bail!(
                 "{path}: another particle radius or gravity than {first}, expected the same in all directories"
             );
         }
     }
     let is_sheet = args.sheet.is_some() || runs.len() > 1 || (args.frames.len() > 1 && !is_film);
-    let mut subject = Subject::new(first.walls(), first.radius).with_up(first.up);
-    runs[1..].iter().for_each(|run| subject.add(&run.walls.position));
+    let mut subject = Subject::new(first.walls(), first.radius()).with_up(first.up);
+    runs[1..].iter().for_each(|run| subject.add(&run.source.walls().position));
     moments.iter().flatten().for_each(|moment| subject.add(&moment.position));
     let width = args.size.unwrap_or(WIDTHS[usize::from(is_sheet)]);
     let view = View { yaw: args.yaw, pitch: args.pitch, width, top: args.top, ..View::default() };
@@ -170,12 +174,12 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
 /// The rows of the picture: which run, and which of its frames.
 fn choose_frames(args: &Args, runs: &[Run], is_film: bool) -> Result<Vec<(usize, Vec<u64>)>> {
     if is_film {
-        let all = if args.frames.is_empty() { &runs[0].frames } else { &args.frames };
+        let all = if args.frames.is_empty() { runs[0].source.numbers() } else { &args.frames };
         return Ok(vec![(0, all.iter().copied().step_by(args.every.map_or(1, NonZeroUsize::get)).collect())]);
     }
     let mut rows = Vec::new();
     for (k, run) in runs.iter().enumerate() {
-        let last = *run.frames.last().context("a run has frames")?;
+        let last = *run.source.numbers().last().context("a run has frames")?;
         let (columns, row_count) = match args.sheet {
             Some(shape) => (shape.columns, if runs.len() == 1 { shape.rows } else { 1 }),
             None => (args.frames.len().max(1), 1),
@@ -193,7 +197,7 @@ fn choose_frames(args: &Args, runs: &[Run], is_film: bool) -> Result<Vec<(usize,
         }
         let frames: Vec<u64> = match (args.frames.as_slice(), args.frame) {
             ([], None) if count == 1 => vec![last],
-            ([], None) => spread(&run.frames, count),
+            ([], None) => spread(run.source.numbers(), count),
             ([], Some(frame)) => vec![frame],
             (frames, _) => frames.to_vec(),
         };
@@ -221,13 +225,14 @@ fn style(args: &Args, runs: &[Run], moments: &[Vec<Moment>]) -> Style {
     };
     let bodies = moments.iter().flatten().flat_map(|moment| &moment.bodies).max().map_or(0, |&last| last + 1);
     let bodies = (0..bodies).map(|body| format!("body {body}")).collect();
-    Style { radius: runs[0].radius, scale, bodies, ..Style::default() }
+    Style { radius: runs[0].radius(), scale, bodies, ..Style::default() }
 }
 
 /// A film: every moment as a sheet of one tile.
 fn film(run: &Run, moments: &[Moment], camera: &Camera, style: &Style, args: &Args) -> Result<Vec<u8>> {
     let draw = |moment: &Moment| -> Result<Image> {
-        let rows = vec![Row { label: String::new(), walls: run.walls(), tiles: vec![moment.tile(run.dt)] }];
+        let rows =
+            vec![Row { label: String::new(), walls: run.walls(), tiles: vec![moment.tile(run.source.dt)] }];
         Ok(sheet(&Sheet { title: args.title.clone(), rows }, camera, style)?)
     };
     let step = moments.len().div_ceil(PALETTE_FRAMES).max(1);
@@ -238,70 +243,52 @@ fn film(run: &Run, moments: &[Moment], camera: &Camera, style: &Style, args: &Ar
         // Until the next moment; the last stays as long as the one before.
         let pair = &moments[k.min(moments.len().saturating_sub(2))..];
         let frames = pair.get(1).map_or(1, |next| next.index.abs_diff(pair[0].index).max(1));
-        encoder.push(&draw(moment)?, run.dt * frames as f64)?;
+        encoder.push(&draw(moment)?, run.source.dt * frames as f64)?;
     }
     Ok(encoder.finish()?)
 }
 
 fn row<'a>(run: &'a Run, moments: &'a [Moment]) -> Row<'a> {
-    let tiles = moments.iter().map(|moment| moment.tile(run.dt)).collect();
+    let tiles = moments.iter().map(|moment| moment.tile(run.source.dt)).collect();
     Row { label: run.label.clone(), walls: run.walls(), tiles }
 }
 
-/// A directory of frames.
+/// A row or more of the picture.
 struct Run {
     label: String,
-    path: PathBuf,
-    frames: Vec<u64>,
-    walls: ParticleData,
+    source: FrameSource,
     outside: Option<OutsideTest>,
-    /// Seconds between frames.
-    dt: f64,
-    /// Particle radius, metres.
-    radius: f32,
     /// Against gravity, a unit vector.
     up: [f32; 3],
 }
 
 impl Run {
-    /// Opens `DIR` or `LABEL=DIR`.
-    fn open(text: &str) -> Result<Run> {
+    /// Opens `FRAMES` or `LABEL=FRAMES`.
+    fn open(text: &str, dt: Option<f32>) -> Result<Run> {
         let (label, path) = match text.split_once('=') {
-            Some((label, path)) if !Path::new(text).exists() => (label.to_owned(), PathBuf::from(path)),
-            _ => (text.to_owned(), PathBuf::from(text)),
+            Some((label, path)) if !Path::new(text).exists() => (label, path),
+            _ => (text, text),
         };
-        let mut numbers: Vec<u64> = run::list(&path)?.into_iter().map(|frame| frame.index).collect();
-        numbers.dedup();
-        if numbers.is_empty() {
-            bail!("{}: no frames, expected fluid_0000.npz or the like", path.display());
-        }
-        let record_path = path.join(run::RECORD);
-        let record: Option<Record> =
-            if record_path.exists() { Some(frames::read_json(&record_path)?) } else { None };
-        let (dt, radius, gravity) = record
-            .map_or((DEFAULT_DT, DEFAULT_PARTICLE_RADIUS, [0.0, -1.0, 0.0]), |record| {
-                (record.dt, record.particle_radius, record.gravity)
-            });
-        let up = against(gravity);
-        let walls = run::read_walls(&path)?.unwrap_or_default();
-        let mut opened =
-            Run { label, path, frames: numbers, walls, outside: None, dt: f64::from(dt), radius, up };
-        if opened.walls.normal.is_some() {
-            opened.outside = Some(OutsideTest::new(opened.walls(), radius));
+        let source = FrameSource::open(Path::new(path), dt)?;
+        let up = against(source.gravity);
+        let mut opened = Run { label: label.to_owned(), source, outside: None, up };
+        if opened.source.walls().normal.is_some() {
+            opened.outside = Some(OutsideTest::new(opened.walls(), opened.radius()));
         }
         Ok(opened)
     }
 
-    fn walls(&self) -> Walls<'_> {
-        Walls { position: &self.walls.position, normal: self.walls.normal.as_deref().unwrap_or_default() }
+    fn radius(&self) -> f32 {
+        self.source.particle_radius
     }
 
-    fn moment(&self, index: u64, color: Color) -> Result<Moment> {
-        if !self.frames.contains(&index) {
-            let (first, last) = (self.frames[0], self.frames[self.frames.len() - 1]);
-            bail!("{}: no frame {index}, there are {first} to {last}", self.path.display());
-        }
-        let ParticleData { position, velocity, body, .. } = run::read_frame(&self.path, index)?;
+    fn walls(&self) -> Walls<'_> {
+        let ParticleData { position, normal, .. } = self.source.walls();
+        Walls { position, normal: normal.as_deref().unwrap_or_default() }
+    }
+
+    fn moment(&mut self, index: u64, color: Color) -> Result<Moment> {
+        let ParticleData { position, velocity, body, .. } = self.source.read(index)?;
         let (mut values, mut bodies) = (Vec::new(), Vec::new());
         match color {
             Color::Speed => values = velocity.as_deref().map(speeds).unwrap_or_default(),

@@ -6,9 +6,19 @@ use std::process::{Command, Output};
 
 /// The small network of fixtures/weights, as the given file.
 pub fn fixture(name: &str) -> String {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/weights").join(name);
-    assert!(path.exists(), "{} is missing", path.display());
-    path.display().to_string()
+    let file = below_fixtures(&format!("weights/{name}"));
+    assert!(Path::new(&file).exists(), "{file} is missing");
+    file
+}
+
+/// The small sequences of fixtures/sequences: a folder, a file, or what the parts of one begin with.
+pub fn sequence(name: &str) -> String {
+    below_fixtures(&format!("sequences/{name}"))
+}
+
+fn below_fixtures(name: &str) -> String {
+    let fixtures = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures");
+    fixtures.join(name).display().to_string()
 }
 
 /// A temporary folder, which is also where the program runs.

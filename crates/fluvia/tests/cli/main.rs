@@ -1,6 +1,8 @@
 //! The program as its users run it.
 
 mod common;
+mod compare;
 mod faults;
+mod sequences;
 mod simulate;
 mod tools;

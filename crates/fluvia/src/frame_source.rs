@@ -1,0 +1,99 @@
+//! Where frames come from: the directory of a run, or a sequence of a data set.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Result, bail};
+use fluvia_sim::frames::{self, ParticleData, Sequence, run, sequence};
+use fluvia_sim::scene::{DEFAULT_DT, DEFAULT_GRAVITY, DEFAULT_PARTICLE_RADIUS};
+
+use crate::record::{Record, decimal};
+
+/// Frames on disk, read one at a time, with what is known of the scene.
+pub struct FrameSource {
+    path: PathBuf,
+    /// In their order; at least one.
+    numbers: Vec<u64>,
+    walls: ParticleData,
+    /// Seconds between frames.
+    pub dt: f64,
+    /// Metres.
+    pub particle_radius: f32,
+    /// Metres per second squared.
+    pub gravity: [f32; 3],
+    /// `None` for the directory of a run.
+    sequence: Option<Sequence>,
+}
+
+impl FrameSource {
+    /// Opens the directory of a run, or a sequence: its folder, one of its parts, or the common prefix of its parts.
+    /// `dt` counts where none is recorded; [`DEFAULT_DT`] if it is not given.
+    pub fn open(path: &Path, dt: Option<f32>) -> Result<FrameSource> {
+        let mut numbers: Vec<u64> = match path.is_dir() {
+            true => run::list(path)?.into_iter().map(|frame| frame.index).collect(),
+            false => Vec::new(),
+        };
+        numbers.dedup();
+        let dt = dt.unwrap_or(DEFAULT_DT);
+        if numbers.is_empty() {
+            return FrameSource::of_sequence(path, dt);
+        }
+        let record_path = path.join(run::RECORD);
+        let record: Option<Record> =
+            if record_path.exists() { Some(frames::read_json(&record_path)?) } else { None };
+        let (dt, particle_radius, gravity) = record
+            .map_or((dt, DEFAULT_PARTICLE_RADIUS, DEFAULT_GRAVITY), |record| {
+                (record.dt, record.particle_radius, record.gravity)
+            });
+        let walls = run::read_walls(path)?.unwrap_or_default();
+        let (path, dt) = (path.to_path_buf(), decimal(dt));
+        Ok(FrameSource { path, numbers, walls, dt, particle_radius, gravity, sequence: None })
+    }
+
+    fn of_sequence(path: &Path, dt: f32) -> Result<FrameSource> {
+        if path.exists() && sequence::find(path)?.is_empty() {
+            bail!("{}: {NO_FRAMES}", path.display());
+        }
+        let sequence = Sequence::open(path)?;
+        let (position, normal) = (sequence.walls().position.clone(), sequence.walls().normal.clone());
+        Ok(FrameSource {
+            path: path.to_path_buf(),
+            numbers: sequence.frames().collect(),
+            walls: ParticleData { position, normal: Some(normal), ..ParticleData::default() },
+            dt: decimal(dt),
+            particle_radius: DEFAULT_PARTICLE_RADIUS,
+            gravity: DEFAULT_GRAVITY,
+            sequence: Some(sequence),
+        })
+    }
+
+    /// What was opened.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The numbers of the frames, in their order.
+    pub fn numbers(&self) -> &[u64] {
+        &self.numbers
+    }
+
+    /// The walls; empty if there are none on disk.
+    pub fn walls(&self) -> &ParticleData {
+        &self.walls
+    }
+
+    /// Reads a frame. Of a sequence the part that it is in is kept for the next.
+    pub fn read(&mut self, number: u64) -> Result<ParticleData> {
+        if self.numbers.binary_search(&number).is_err() {
+            let (first, last) = (self.numbers[0], self.numbers[self.numbers.len() - 1]);
+            bail!("{}: no frame {number}, there are {first} to {last}", self.path.display());
+        }
+        let Some(sequence) = &mut self.sequence else { return Ok(run::read_frame(&self.path, number)?) };
+        let frame = sequence.frame(number)?;
+        let (position, velocity) = (frame.position.clone(), frame.velocity.clone());
+        Ok(ParticleData { position, velocity: Some(velocity), ..ParticleData::default() })
+    }
+}
+
+/// Why something that is there holds no frames.
+pub const NO_FRAMES: &str = "no frames, expected the directory of a run with fluid_0000.npz or the like, or a sequence \
+                             (NAME_00.msgpack.zst)";
