@@ -8,6 +8,7 @@ mod compare;
 mod convert;
 mod data_set;
 mod frame_source;
+mod generate;
 mod inspect;
 mod options;
 mod record;
@@ -42,6 +43,8 @@ struct Cli {
 enum Command {
     /// Run a scene and write its frames.
     Simulate(simulate::Args),
+    /// Make a data set of random scenes.
+    Generate(generate::Args),
     /// Say how far two runs of a scene are apart.
     Compare(compare::Args),
     /// Draw frames: a picture, a contact sheet or a film.
@@ -64,6 +67,7 @@ fn main() -> ExitCode {
     let report = report::Report::new(cli.quiet, cli.verbose);
     let result = match cli.command {
         Command::Simulate(args) => simulate::run(&args, &report),
+        Command::Generate(args) => generate::run(&args, &report),
         Command::Compare(args) => compare::run(&args, &report),
         Command::Render(args) => render::run(&args, &report),
         Command::Inspect(args) => inspect::run(&args, &report),

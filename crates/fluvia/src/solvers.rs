@@ -62,6 +62,15 @@ impl Choice {
         ))
     }
 
+    /// The name of the solver.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Choice::Dfsph(_) => "dfsph",
+            Choice::Pbf(_) => "pbf",
+            Choice::Network(..) => "network",
+        }
+    }
+
     /// Makes the solver for the walls of a set-up.
     pub fn make(&self, setup: &Setup, kernel: Kernel) -> Result<Box<dyn Solver>> {
         Ok(match self {

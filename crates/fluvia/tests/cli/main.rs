@@ -3,6 +3,7 @@
 mod common;
 mod compare;
 mod faults;
+mod generate;
 mod sequences;
 mod simulate;
 mod tools;

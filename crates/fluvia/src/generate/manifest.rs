@@ -1,0 +1,154 @@
+//! `manifest.json` of a data set: its settings, and the records of the scenes that are done.
+
+use std::path::Path;
+
+use anyhow::{Context, Result, bail};
+use fluvia_sim::frames;
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+
+use super::plan::{Plan, Settings};
+use super::scene::Record;
+use super::{Task, folder};
+
+/// Its name.
+pub const FILE: &str = "manifest.json";
+
+/// The manifest, as it is on disk.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Manifest {
+    #[serde(flatten)]
+    pub settings: Settings,
+    /// Whether all scenes are done.
+    pub complete: bool,
+    /// Scenes that blew up and were replaced.
+    pub replaced: usize,
+    /// The scenes that are done, in their order.
+    pub records: Vec<Record>,
+}
+
+/// Makes the directories, and sure that what is there is of the same set.
+///
+/// # Errors
+/// If the directory holds another data set, or something else.
+pub fn begin(out: &Path, settings: &Settings) -> Result<()> {
+    let path = out.join(FILE);
+    if path.exists() {
+        let old: Manifest = frames::read_json(&path)?;
+        let value = |settings: &Settings| serde_json::to_value(settings);
+        let (old, new) = (value(&old.settings)?, value(settings)?);
+        if let Some((key, old, new)) = difference("", &old, &new) {
+            bail!("{}: not the same data set, its {key}: {old}, now: {new}", path.display());
+        }
+    } else if out.is_dir()
+        && std::fs::read_dir(out).with_context(|| out.display().to_string())?.next().is_some()
+    {
+        bail!("{}: holds files, but no {FILE}; expected an empty directory or a data set", out.display());
+    }
+    for name in ["train", "valid"] {
+        let folder = out.join(name);
+        std::fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
+    }
+    if !path.exists() {
+        let manifest =
+            Manifest { settings: settings.clone(), complete: false, replaced: 0, records: Vec::new() };
+        frames::write_json(&path, &manifest)?;
+    }
+    Ok(())
+}
+
+/// Writes the manifest with the scenes that are done, whoever made them.
+///
+/// # Errors
+/// If a record cannot be read or the manifest cannot be written.
+pub fn write(out: &Path, plan: &Plan) -> Result<Manifest> {
+    loop {
+        let manifest = collect(out, plan)?;
+        frames::write_json(&out.join(FILE), &manifest)?;
+        // Another shard may have finished a scene in between, and written its manifest before this one.
+        if done(out, plan).count() == manifest.records.len() {
+            return Ok(manifest);
+        }
+    }
+}
+
+fn done<'a>(out: &'a Path, plan: &'a Plan) -> impl Iterator<Item = std::path::PathBuf> + 'a {
+    let path = |task: Task| folder(out, &task).join(format!("{}.json", task.name));
+    plan.tasks().map(path).filter(|path| path.exists())
+}
+
+fn collect(out: &Path, plan: &Plan) -> Result<Manifest> {
+    let records: Vec<Record> =
+        done(out, plan).map(|path| frames::read_json(&path)).collect::<Result<_, _>>()?;
+    Ok(Manifest {
+        settings: plan.settings.clone(),
+        complete: records.len() == plan.tasks().count(),
+        replaced: records.iter().map(|record| record.replaced.len()).sum(),
+        records,
+    })
+}
+
+impl Manifest {
+    /// The manifest with what the records have in common in place of them.
+    pub fn without_scenes(&self) -> Value {
+        let mut value = serde_json::to_value(&self.settings).unwrap_or_default();
+        let statistics = || self.records.iter().map(|record| record.statistics);
+        let highest =
+            |of: fn(&super::scene::Statistics) -> f64| statistics().map(|s| of(&s)).fold(0.0, f64::max);
+        let particles = || self.records.iter().map(|record| record.particles);
+        value["complete"] = json!(self.complete);
+        value["done"] = json!(self.records.len());
+        value["replaced"] = json!(self.replaced);
+        value["particles_found"] = json!([particles().min(), particles().max()]);
+        value["highest_speed_m_per_s"] = json!(highest(|s| s.highest_speed));
+        value["outside"] = json!(statistics().map(|s| s.outside).max());
+        value["highest_density"] = json!(highest(|s| s.highest_density));
+        value["worst_compression"] = json!(highest(|s| s.worst_compression));
+        value["unconverged"] = json!(statistics().map(|s| s.unconverged).sum::<u64>());
+        value
+    }
+
+    /// What the command says at its end.
+    pub fn summary(&self, out: &Path) -> String {
+        let whole = self.without_scenes();
+        let Settings { scenes, valid, frames, .. } = &self.settings;
+        let mut lines = vec![format!(
+            "{}: {} of {} scenes, {frames} frames each, {} to {} particles",
+            out.display(),
+            self.records.len(),
+            scenes + valid,
+            whole["particles_found"][0],
+            whole["particles_found"][1],
+        )];
+        lines.push(format!(
+            "outside the walls: {} in the worst frame; highest speed {:.2} m/s; highest density {:.4}; worst mean \
+             compression {:.4} %; unconverged solves: {}",
+            whole["outside"],
+            whole["highest_speed_m_per_s"].as_f64().unwrap_or_default(),
+            whole["highest_density"].as_f64().unwrap_or_default(),
+            100.0 * whole["worst_compression"].as_f64().unwrap_or_default(),
+            whole["unconverged"],
+        ));
+        if self.replaced > 0 {
+            lines.push(format!("scenes that blew up and were replaced: {}", self.replaced));
+            for record in &self.records {
+                for old in &record.replaced {
+                    lines.push(format!("  {} (seed {}): {}", record.name, old.seed, old.reason));
+                }
+            }
+        }
+        lines.join("\n")
+    }
+}
+
+/// The first entry in which two objects differ: its key and both values.
+fn difference(prefix: &str, old: &Value, new: &Value) -> Option<(String, String, String)> {
+    match (old, new) {
+        (Value::Object(olds), Value::Object(news)) => olds.keys().chain(news.keys()).find_map(|key| {
+            let prefix = if prefix.is_empty() { key.clone() } else { format!("{prefix}.{key}") };
+            difference(&prefix, &old[key.as_str()], &new[key.as_str()])
+        }),
+        _ if old == new => None,
+        _ => Some((prefix.to_owned(), old.to_string(), new.to_string())),
+    }
+}

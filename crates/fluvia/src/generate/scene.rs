@@ -1,0 +1,338 @@
+//! One scene of a data set: drawn, simulated, written part by part, and recorded.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use anyhow::{Context, Result, bail};
+use cconv::Kernel;
+use fluvia_sim::frames::sequence::{self, Frame, Part, part_file_name, stored_mass, write_part};
+use fluvia_sim::frames::{self, State};
+use fluvia_sim::kernel::{CubicSpline, SUPPORT_IN_RADII, wall_volumes};
+use fluvia_sim::metrics;
+use fluvia_sim::rollout::Rollout;
+use fluvia_sim::scene::random::{self, RandomScene};
+use fluvia_sim::scene::{Material, Setup};
+use fluvia_sim::{Error, dfsph::Liquid};
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+use super::plan::{Plan, Task};
+use super::{Progress, folder};
+use crate::record::decimal;
+use crate::resume::{from_disk, to_disk};
+
+/// Scenes that are drawn in place of one that blew up, at most.
+const MOST_ATTEMPTS: u32 = 10;
+
+/// Whether a scene is done.
+pub enum Outcome {
+    Done,
+    Interrupted,
+}
+
+/// The record of a scene, as it is on disk and in the manifest.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Record {
+    pub name: String,
+    /// "train" or "valid".
+    pub split: String,
+    /// The seed that the scene and its wall particles were drawn with.
+    pub seed: u64,
+    pub particles: usize,
+    pub wall_particles: usize,
+    pub frames: u64,
+    /// What was drawn in vain: columns without a free place, bodies, scenes.
+    pub retries: [u32; 3],
+    /// Scenes that blew up; this one is in their place.
+    pub replaced: Vec<Replaced>,
+    pub statistics: Statistics,
+    /// The scene, as a scene file has it.
+    pub scene: Value,
+}
+
+/// A scene that blew up.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Replaced {
+    pub seed: u64,
+    pub reason: String,
+}
+
+/// What happened in a sequence.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Statistics {
+    /// Metres per second, in all frames.
+    pub highest_speed: f64,
+    /// Particles more than a radius beyond the walls' bounding box, in the worst frame.
+    pub outside: usize,
+    /// Density over rest density, walls included: the highest in all frames.
+    pub highest_density: f64,
+    /// The mean of max(0, density ratio - 1) over the particles: the mean over frames, and in the worst.
+    pub mean_compression: f64,
+    pub worst_compression: f64,
+    /// Iterations of the solver that ended at their limit.
+    pub unconverged: u64,
+}
+
+/// Makes a scene, or what is left of it.
+///
+/// # Errors
+/// If files cannot be read or written, or the recipe cannot be fulfilled.
+pub fn make(
+    out: &Path,
+    plan: &Plan,
+    task: &Task,
+    interrupted: &AtomicBool,
+    progress: &Progress<'_>,
+) -> Result<Outcome> {
+    let files = Files { folder: folder(out, task), name: task.name.clone() };
+    if files.record().exists() {
+        progress.skip(plan.steps(task));
+        progress.scene(&format!("{}: is there", task.name));
+        return Ok(Outcome::Done);
+    }
+    let mut replaced = files.replaced()?;
+    loop {
+        let attempt = replaced.len() as u32;
+        if attempt > MOST_ATTEMPTS {
+            let Replaced { seed, reason } = &replaced[replaced.len() - 1];
+            bail!("{}: {attempt} scenes blew up, the last (seed {seed}): {reason}", task.name);
+        }
+        let (recipe, seed) = plan.draw(task, attempt);
+        let drawn = random::random_scene(&recipe, seed).with_context(|| task.name.clone())?;
+        let setup = drawn.scene.sample(seed)?;
+        let mut run = Run::new(plan, &files, &drawn, &setup, attempt)?;
+        progress.skip(run.rollout.state().step);
+        match run.simulate(plan, interrupted, progress)? {
+            End::Interrupted => return Ok(Outcome::Interrupted),
+            End::Whole => {
+                let record = run.record(task, seed, replaced)?;
+                frames::write_json(&files.record(), &record)?;
+                files.remove_temporary()?;
+                progress.scene(&format!("{}: {} particles", task.name, record.particles));
+                return Ok(Outcome::Done);
+            }
+            End::BlewUp(reason) => {
+                progress.warning(&format!("{} is replaced: {reason}", task.name));
+                progress.take_back(run.rollout.state().step);
+                replaced.push(Replaced { seed, reason });
+                frames::write_json(&files.attempts(), &replaced)?;
+                files.remove_parts()?;
+            }
+        }
+    }
+}
+
+/// Where the files of a scene are.
+struct Files {
+    folder: PathBuf,
+    name: String,
+}
+
+impl Files {
+    fn record(&self) -> PathBuf {
+        self.folder.join(format!("{}.json", self.name))
+    }
+
+    /// Where to go on; only while the scene is made.
+    fn state(&self) -> PathBuf {
+        self.folder.join(format!("{}.state.npz", self.name))
+    }
+
+    /// The scenes that blew up; only while the scene is made.
+    fn attempts(&self) -> PathBuf {
+        self.folder.join(format!("{}.replaced.json", self.name))
+    }
+
+    fn replaced(&self) -> Result<Vec<Replaced>> {
+        let path = self.attempts();
+        Ok(if path.exists() { frames::read_json(&path)? } else { Vec::new() })
+    }
+
+    fn remove(path: &Path) -> Result<()> {
+        match std::fs::remove_file(path) {
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+                Err(error).with_context(|| path.display().to_string())
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn remove_temporary(&self) -> Result<()> {
+        Files::remove(&self.state())?;
+        Files::remove(&self.attempts())
+    }
+
+    /// Removes what is left of a scene that blew up.
+    fn remove_parts(&self) -> Result<()> {
+        Files::remove(&self.state())?;
+        let found = sequence::find(&self.folder.join(&self.name))?;
+        found.iter().flat_map(|files| &files.parts).try_for_each(|path| Files::remove(path))
+    }
+}
+
+/// How the simulation of a scene ended.
+enum End {
+    Whole,
+    Interrupted,
+    BlewUp(String),
+}
+
+/// A scene that is simulated.
+struct Run<'a> {
+    files: &'a Files,
+    drawn: &'a RandomScene,
+    setup: &'a Setup,
+    attempt: u32,
+    wall_volumes: Vec<f32>,
+    rollout: Rollout,
+    statistics: Statistics,
+    /// The part that is not on disk yet.
+    part: Part,
+}
+
+impl<'a> Run<'a> {
+    /// A run from its beginning, or from the last part on disk.
+    fn new(
+        plan: &Plan,
+        files: &'a Files,
+        drawn: &'a RandomScene,
+        setup: &'a Setup,
+        attempt: u32,
+    ) -> Result<Run<'a>> {
+        let kernel = CubicSpline::new(SUPPORT_IN_RADII * setup.particle_radius);
+        let path = files.state();
+        let old = path.exists().then(|| State::load(&path)).transpose()?;
+        let old = old.filter(|state| state.counters.get(ATTEMPT) == Some(&f64::from(attempt)));
+        let (rollout, statistics) = match old {
+            None => (Rollout::new(setup)?, Statistics::default()),
+            Some(state) => {
+                let statistics = statistics_of(&state.counters);
+                let rollout = Rollout::resume(setup, from_disk(state));
+                (rollout.with_context(|| path.display().to_string())?, statistics)
+            }
+        };
+        let part = Part { scene: files.name.clone(), walls: setup.boundary.clone(), frames: Vec::new() };
+        let wall_volumes = wall_volumes(&setup.boundary.position, &kernel);
+        let mut run = Run { files, drawn, setup, attempt, wall_volumes, rollout, statistics, part };
+        if run.rollout.state().step == 0 {
+            run.observe();
+            run.keep(plan)?;
+        }
+        Ok(run)
+    }
+
+    fn simulate(&mut self, plan: &Plan, interrupted: &AtomicBool, progress: &Progress<'_>) -> Result<End> {
+        let mut solver = plan.solver.make(self.setup, Kernel::detect())?;
+        while self.rollout.state().step + 1 < plan.settings.frames {
+            if interrupted.load(Ordering::Relaxed) {
+                return Ok(End::Interrupted);
+            }
+            let step = match self.rollout.advance(solver.as_mut()) {
+                Ok(step) => step,
+                Err(error @ Error::NonFinite { .. }) => return Ok(End::BlewUp(error.to_string())),
+                Err(error) => return Err(error.into()),
+            };
+            let frame = step.frame;
+            if step.removed > 0 {
+                return Ok(End::BlewUp(format!("frame {frame}: {} particles fell out", step.removed)));
+            }
+            if step.outside > 0 {
+                let outside = step.outside;
+                return Ok(End::BlewUp(format!("frame {frame}: {outside} particles outside the walls")));
+            }
+            self.observe();
+            self.keep(plan)?;
+            progress.frame();
+        }
+        Ok(End::Whole)
+    }
+
+    /// Brings the statistics up to date with a new frame.
+    fn observe(&mut self) {
+        let state = self.rollout.state();
+        let walls = (self.setup.boundary.position.as_slice(), self.wall_volumes.as_slice());
+        let densities =
+            metrics::density_ratios_within(&state.particles.position, walls, self.setup.particle_radius);
+        let compression = metrics::mean_compression(&densities);
+        let Statistics { highest_density, mean_compression, worst_compression, .. } = &mut self.statistics;
+        *highest_density = densities.into_iter().map(decimal).fold(*highest_density, f64::max);
+        // Over the frames so far.
+        *mean_compression += (compression - *mean_compression) / (state.step + 1) as f64;
+        *worst_compression = worst_compression.max(compression);
+        self.statistics.highest_speed = decimal(state.summary.highest_speed);
+        self.statistics.outside = state.summary.worst_outside;
+        self.statistics.unconverged = state.summary.unconverged;
+    }
+
+    /// Adds the frame to its part; writes the part, and then the state, when it is whole.
+    fn keep(&mut self, plan: &Plan) -> Result<()> {
+        let state = self.rollout.state();
+        let particles = &state.particles;
+        let material = |body: &u32| self.setup.emitters[*body as usize].material;
+        let mass = |material: Material| {
+            let density = material.density.unwrap_or(Liquid::default().density);
+            stored_mass(density, self.setup.particle_radius)
+        };
+        let viscosity = |material: Material| material.viscosity.unwrap_or(Liquid::default().viscosity);
+        self.part.frames.push(Frame {
+            number: state.step,
+            position: particles.position.clone(),
+            velocity: particles.velocity.clone(),
+            mass: particles.body.iter().map(|body| mass(material(body))).collect(),
+            viscosity: particles.body.iter().map(|body| viscosity(material(body))).collect(),
+        });
+        let frames = state.step + 1;
+        let whole = frames.is_multiple_of(plan.part_frames()) || frames == plan.settings.frames;
+        if whole {
+            let number = state.step / plan.part_frames();
+            let path = self.files.folder.join(part_file_name(&self.files.name, number));
+            write_part(&path, &self.part)?;
+            self.part.frames.clear();
+            let mut state = to_disk(state);
+            add_statistics(&self.statistics, &mut state.counters);
+            state.counters.insert(ATTEMPT.to_owned(), f64::from(self.attempt));
+            state.save(&self.files.state())?;
+        }
+        Ok(())
+    }
+
+    fn record(&self, task: &Task, seed: u64, replaced: Vec<Replaced>) -> Result<Record> {
+        let random::Retries { columns, bodies, scenes } = self.drawn.retries;
+        Ok(Record {
+            name: task.name.clone(),
+            split: task.split.folder().to_owned(),
+            seed,
+            particles: self.rollout.state().particles.len(),
+            wall_particles: self.setup.boundary.position.len(),
+            frames: self.rollout.state().step + 1,
+            retries: [columns, bodies, scenes],
+            replaced,
+            statistics: self.statistics,
+            scene: serde_json::from_str(&self.drawn.scene.to_json()?)?,
+        })
+    }
+}
+
+/// Counters of the state file.
+const ATTEMPT: &str = "attempt";
+const HIGHEST_DENSITY: &str = "highest_density";
+const MEAN_COMPRESSION: &str = "mean_compression";
+const WORST_COMPRESSION: &str = "worst_compression";
+
+fn add_statistics(statistics: &Statistics, counters: &mut BTreeMap<String, f64>) {
+    counters.insert(HIGHEST_DENSITY.to_owned(), statistics.highest_density);
+    counters.insert(MEAN_COMPRESSION.to_owned(), statistics.mean_compression);
+    counters.insert(WORST_COMPRESSION.to_owned(), statistics.worst_compression);
+}
+
+/// The rest follows from the summary with the next frame.
+fn statistics_of(counters: &BTreeMap<String, f64>) -> Statistics {
+    let counter = |name: &str| counters.get(name).copied().unwrap_or_default();
+    Statistics {
+        highest_density: counter(HIGHEST_DENSITY),
+        mean_compression: counter(MEAN_COMPRESSION),
+        worst_compression: counter(WORST_COMPRESSION),
+        ..Statistics::default()
+    }
+}

@@ -1,0 +1,17 @@
+#!/bin/sh
+# Figure 6's reference: the distance of Eq. 18 between runs with steps of at most 5 ms and of 1 ms on a complex scene,
+# over time, and the control, two runs at 1 ms that differ only in their wall particles.
+#
+# usage: validation/figure_6.sh [OUT]     (from the root of the repository; some minutes)
+set -eu
+out=${1:-out/figure_6}
+fluvia="cargo run --release --quiet -p fluvia --"
+run() {
+    name=$1
+    shift
+    $fluvia simulate obstacle_course --solver dfsph --steps 250 --out "$out/$name" --overwrite "$@"
+}
+run 1ms --solver-dt 0.001
+run 5ms --solver-dt-max 0.005
+run control --solver-dt 0.001 --seed 1
+$fluvia compare 1ms="$out/1ms" 5ms="$out/5ms" --control "$out/control" --out "$out"
