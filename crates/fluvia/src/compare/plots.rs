@@ -62,6 +62,8 @@ fn draw(panel: &Panel<'_>, time: &[f64], area: &Area<'_>) -> Result<(), Box<dyn 
     let (low, high) = values().fold((f64::MAX, f64::MIN), |(low, high), v| (low.min(v), high.max(v)));
     let (low, high) = if low > high { (0.0, 1.0) } else { (low, high) };
     let slack = if high > low { 0.05 * (high - low) } else { 0.5 };
+    // Room for the legend.
+    let top = high + (1 + panel.curves.len()) as f64 * 1.5 * slack;
     let [start, end] = [time.first(), time.last()].map(|time| time.copied().unwrap_or_default());
     let end = if end > start { end } else { start + 1.0 };
     let mut chart = ChartBuilder::on(area)
@@ -69,7 +71,7 @@ fn draw(panel: &Panel<'_>, time: &[f64], area: &Area<'_>) -> Result<(), Box<dyn 
         .margin(10)
         .x_label_area_size(34)
         .y_label_area_size(52)
-        .build_cartesian_2d(start..end, low - slack..high + slack)?;
+        .build_cartesian_2d(start..end, low - slack..top)?;
     chart
         .configure_mesh()
         .light_line_style(TRANSPARENT)
