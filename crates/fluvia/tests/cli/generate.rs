@@ -6,6 +6,8 @@ use std::process::Stdio;
 use std::time::Duration;
 
 use crate::common::Folder;
+#[cfg(target_os = "linux")]
+use crate::common::SmallDisk;
 
 /// A set that takes a second or two: 3 scenes of two parts.
 const SMALL: &str = "generate --preset default --scenes 2 --valid 1 --duration 1.1 --particles 1000..1600 \
@@ -216,4 +218,28 @@ fn every_preset_makes_scenes() {
     }
     let set = folder.succeed("inspect material-test --json").last_json();
     assert!(set.to_string().contains("0.044") && set.to_string().contains("0.127"), "{set}");
+}
+
+/// A disk that is full in the middle of a set: what is whole stays, and elsewhere the command goes on.
+#[test]
+#[cfg(target_os = "linux")]
+fn a_full_disk() {
+    let folder = Folder::new();
+    let whole = make(&folder, "whole", "");
+    let disk = folder.path("disk");
+    let Some(small) = SmallDisk::mount(&disk, "4m") else { return };
+    let run = folder.run(&format!("{SMALL} --out disk/set --jobs 1"));
+    assert_eq!(run.code, Some(1), "{}", run.stderr);
+    assert!(run.stderr.starts_with("error: disk/set/") && run.stderr.contains("space"), "{}", run.stderr);
+    assert_eq!(run.stderr.lines().count(), 1);
+    let files = tree(&disk.join("set"));
+    assert!(files.keys().all(|name| !name.contains("tmp")), "{:?}", files.keys());
+    assert!(files.contains_key("train/sim_0001_00.msgpack.zst"), "{:?}", files.keys());
+    for (name, bytes) in &files {
+        let path = folder.path("moved").join(name);
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        std::fs::write(path, bytes).unwrap();
+    }
+    drop(small);
+    assert!(make(&folder, "moved", "") == whole);
 }

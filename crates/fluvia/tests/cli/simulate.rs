@@ -3,6 +3,8 @@
 use std::process::Stdio;
 use std::time::Duration;
 
+#[cfg(target_os = "linux")]
+use crate::common::SmallDisk;
 use crate::common::{Folder, SCENE, fixture, scene_of, scene_with};
 
 const FORMATS: &str = "--format npz,ply,bgeo,vtu,vtk";
@@ -296,18 +298,8 @@ fn a_full_disk() {
     let folder = Folder::new();
     folder.write("scene.json", SCENE);
     let disk = folder.path("disk");
-    std::fs::create_dir(&disk).unwrap();
-    let mounted = std::process::Command::new("mount")
-        .args(["-t", "tmpfs", "-o", "size=384k", "tmpfs"])
-        .arg(&disk)
-        .output()
-        .is_ok_and(|output| output.status.success());
-    if !mounted {
-        eprintln!("skipped: a small disk cannot be mounted here");
-        return;
-    }
+    let Some(small) = SmallDisk::mount(&disk, "384k") else { return };
     let run = folder.run("simulate scene.json --steps 300 --out disk/out");
-    let unmount = || std::process::Command::new("umount").arg("-l").arg(&disk).status();
     let files = folder.files("disk/out");
     let moved = folder.path("moved");
     std::fs::create_dir(&moved).unwrap();
@@ -315,7 +307,7 @@ fn a_full_disk() {
         std::fs::write(moved.join(name), content).unwrap();
     }
     std::fs::copy(disk.join("out/run.json"), moved.join("run.json")).unwrap();
-    unmount().unwrap();
+    drop(small);
     assert_eq!(run.code, Some(1), "{}", run.stderr);
     assert!(run.stderr.starts_with("error: disk/out/") && run.stderr.contains("space"), "{}", run.stderr);
     assert_eq!(run.stderr.lines().count(), 1);
