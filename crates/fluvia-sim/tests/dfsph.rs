@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{DT, GRAVITY, RADIUS, block, box_walls, emitter, particles, setup};
+use common::{DT, GRAVITY, RADIUS, block, box_walls, dam_break, emitter, particles, setup};
 use fluvia_sim::dfsph::{Dfsph, Liquid, Params};
 use fluvia_sim::metrics::{self, Bounds};
 use fluvia_sim::particles::{Acceleration, Boundary, Particles};
@@ -23,12 +23,6 @@ fn run(solver: &mut Dfsph, particles: &mut Particles, frames: usize) {
     for _ in 0..frames {
         solver.step(particles, Acceleration::Uniform(GRAVITY), DT).expect("good parameters");
     }
-}
-
-/// A small dam break: its box and its particles.
-fn dam_break() -> (Boundary, Particles) {
-    let walls = box_walls([0.0; 3], [0.6, 0.6, 0.4], RADIUS);
-    (walls, particles(block([0.05; 3], [4, 6, 6]), [0.0; 3]))
 }
 
 /// Two blocks that meet.
@@ -95,24 +89,6 @@ fn fast_particles_shorten_the_step() {
     solver.step(&mut fluid, NOWHERE, DT).unwrap();
     // Never below 0.1 ms.
     assert_eq!(solver.steps().len(), 200);
-}
-
-#[test]
-fn the_same_bits_at_any_thread_count() {
-    let (walls, start) = dam_break();
-    let with = |threads| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| {
-            let mut fluid = start.clone();
-            run(&mut solver(Params::default(), &walls), &mut fluid, 12);
-            fluid
-        })
-    };
-    let one = with(1);
-    assert_ne!(one.position, start.position);
-    for threads in [2, 3, 7] {
-        assert_eq!(one, with(threads), "{threads} threads");
-    }
 }
 
 #[test]
@@ -210,26 +186,12 @@ fn the_solvers_leave_no_more_than_their_tolerance() {
         let compression = metrics::mean_compression(&ratios);
         assert!(compression < 2e-4, "frame {frame}: mean compression {compression}");
     }
-    assert!(iterated >= 2);
+    assert!(iterated >= 3);
     // A limit that is too low is said.
-    let few = Params { max_iterations: 2, density_tolerance: 1e-9, ..fixed(0.001) };
+    let few = Params { max_iterations: 3, density_tolerance: 1e-9, ..fixed(0.001) };
     let mut solver = Dfsph::new(few, &walls, RADIUS, &[]).unwrap();
     let info = solver.step(&mut fluid, Acceleration::Uniform(GRAVITY), DT).unwrap();
     assert!(info.unconverged > 0);
-}
-
-#[test]
-fn a_dam_break_stays_in_its_box() {
-    let (walls, mut fluid) = dam_break();
-    let bounds = Bounds::of(&walls.position).unwrap();
-    let mut solver = solver(Params::default(), &walls);
-    let mut farthest = 0.0_f32;
-    for _ in 0..60 {
-        run(&mut solver, &mut fluid, 1);
-        assert_eq!(metrics::outside(&fluid.position, &bounds, 0.0), 0);
-        farthest = farthest.max(Bounds::of(&fluid.position).unwrap().high[0]);
-    }
-    assert!(farthest > 0.55, "the front reached x = {farthest}, the far wall is at 0.6");
 }
 
 #[test]
@@ -310,25 +272,6 @@ fn a_lighter_liquid_stays_above() {
     assert!(height(0..144) > height(144..288), "{} and {}", height(0..144), height(144..288));
     let ratios = metrics::density_ratios(&fluid.position, &walls.position, RADIUS);
     assert!(metrics::mean_compression(&ratios) < 1e-3);
-}
-
-#[test]
-fn odd_sets_of_particles_stay_finite() {
-    let walls = box_walls([0.0; 3], [0.4; 3], RADIUS);
-    let mut solver = solver(Params::default(), &walls);
-    let sets = [
-        vec![],
-        vec![[0.2; 3]],
-        vec![[0.2; 3]; 12],
-        vec![[0.0; 3]; 3],
-        vec![[0.2, -0.01, 0.2], [5.0, 5.0, 5.0], [-0.3, 0.2, 0.2]],
-        vec![[1e30, -1e30, 0.0], [0.1; 3]],
-    ];
-    for set in sets {
-        let mut fluid = particles(set.clone(), [0.0, -1.0, 0.0]);
-        run(&mut solver, &mut fluid, 5);
-        assert_eq!(metrics::first_non_finite(&fluid), None, "{set:?}");
-    }
 }
 
 #[test]

@@ -57,6 +57,12 @@ pub fn particles(position: Vec<[f32; 3]>, velocity: [f32; 3]) -> Particles {
     Particles::of_one_body(position, vec![velocity; count])
 }
 
+/// A small dam break: its box and its particles.
+pub fn dam_break() -> (Boundary, Particles) {
+    let walls = box_walls([0.0; 3], [0.6, 0.6, 0.4], RADIUS);
+    (walls, particles(block([0.05; 3], [4, 6, 6]), [0.0; 3]))
+}
+
 /// A body that is emitted in steps `start`, `start + step`, ... below `stop`.
 pub fn emitter(position: Vec<[f32; 3]>, velocity: [f32; 3], [start, stop, step]: [u64; 3]) -> Emitter {
     let velocity = vec![velocity; position.len()];
