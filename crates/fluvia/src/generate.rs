@@ -22,6 +22,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use anyhow::{Context, Result, bail};
+use fluvia_sim::scene::random::random_scene;
 use fluvia_sim::substep::Substep;
 use indicatif::{ProgressBar, ProgressStyle};
 
@@ -127,6 +128,9 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
     if tasks.is_empty() {
         bail!("no scenes to make: --scenes {} --valid {}", plan.settings.scenes, plan.settings.valid);
     }
+    // A recipe that cannot be fulfilled shows before anything is written.
+    let (recipe, seed) = plan.draw(&tasks[0], 0);
+    random_scene(&recipe, seed).with_context(|| tasks[0].name.clone())?;
     manifest::begin(&args.out, &plan.settings)?;
     let interrupted = Arc::new(AtomicBool::new(false));
     let flag = Arc::clone(&interrupted);
@@ -198,7 +202,7 @@ pub struct Progress<'a> {
 
 impl<'a> Progress<'a> {
     fn new(plan: &Plan, tasks: &[Task], report: &'a Report) -> Progress<'a> {
-        let frames: u64 = tasks.iter().map(|task| plan.steps(task)).sum();
+        let frames = tasks.len() as u64 * plan.steps();
         let bar = if report.is_quiet() { ProgressBar::hidden() } else { ProgressBar::new(frames) };
         let template = "{bar:16} frame {pos}/{len}, {msg}, {eta} left";
         bar.set_style(

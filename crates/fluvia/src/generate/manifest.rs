@@ -7,12 +7,15 @@ use fluvia_sim::frames;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use super::plan::{Plan, Settings};
+use super::plan::{Plan, Settings, Split};
 use super::scene::Record;
 use super::{Task, folder};
 
 /// Its name.
-pub const FILE: &str = "manifest.json";
+const FILE: &str = "manifest.json";
+
+/// The folders beside it.
+const FOLDERS: [&str; 2] = [Split::Train.folder(), Split::Valid.folder()];
 
 /// The manifest, as it is on disk.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -40,19 +43,33 @@ pub fn begin(out: &Path, settings: &Settings) -> Result<()> {
         if let Some((key, old, new)) = difference("", &old, &new) {
             bail!("{}: not the same data set, its {key}: {old}, now: {new}", path.display());
         }
-    } else if out.is_dir()
-        && std::fs::read_dir(out).with_context(|| out.display().to_string())?.next().is_some()
-    {
-        bail!("{}: holds files, but no {FILE}; expected an empty directory or a data set", out.display());
-    }
-    for name in ["train", "valid"] {
-        let folder = out.join(name);
-        std::fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
-    }
-    if !path.exists() {
+    } else {
+        refuse_other_files(out)?;
         let manifest =
             Manifest { settings: settings.clone(), complete: false, replaced: 0, records: Vec::new() };
+        make_folder(out)?;
         frames::write_json(&path, &manifest)?;
+    }
+    FOLDERS.iter().try_for_each(|name| make_folder(&out.join(name)))
+}
+
+fn make_folder(path: &Path) -> Result<()> {
+    std::fs::create_dir_all(path).with_context(|| path.display().to_string())
+}
+
+/// A directory without a manifest must hold nothing but what another shard has just begun with.
+fn refuse_other_files(out: &Path) -> Result<()> {
+    let entries = match std::fs::read_dir(out) {
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(()),
+        entries => entries.with_context(|| out.display().to_string())?,
+    };
+    for entry in entries {
+        let name = entry.with_context(|| out.display().to_string())?.file_name();
+        let name = name.to_string_lossy();
+        if !(FOLDERS.contains(&name.as_ref()) || name.starts_with('.')) {
+            let out = out.display();
+            bail!("{out}: holds files ({name}), but no {FILE}; expected an empty directory or a data set");
+        }
     }
     Ok(())
 }

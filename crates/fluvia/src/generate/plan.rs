@@ -102,7 +102,7 @@ pub enum Split {
 }
 
 impl Split {
-    pub fn folder(self) -> &'static str {
+    pub const fn folder(self) -> &'static str {
         match self {
             Split::Train => "train",
             Split::Valid => "valid",
@@ -176,7 +176,7 @@ impl Plan {
     }
 
     /// Steps of a scene, one less than its frames.
-    pub fn steps(&self, _: &Task) -> u64 {
+    pub fn steps(&self) -> u64 {
         self.settings.frames - 1
     }
 

@@ -86,8 +86,8 @@ pub fn make(
     progress: &Progress<'_>,
 ) -> Result<Outcome> {
     let files = Files { folder: folder(out, task), name: task.name.clone() };
-    if files.record().exists() {
-        progress.skip(plan.steps(task));
+    if files.record().exists() && files.has_parts(plan.settings.frames.div_ceil(plan.part_frames())) {
+        progress.skip(plan.steps());
         progress.scene(&format!("{}: is there", task.name));
         return Ok(Outcome::Done);
     }
@@ -163,6 +163,15 @@ impl Files {
         Files::remove(&self.attempts())
     }
 
+    /// Whether the first `count` parts are there.
+    fn has_parts(&self, count: u64) -> bool {
+        (0..count).all(|number| self.part(number).exists())
+    }
+
+    fn part(&self, number: u64) -> PathBuf {
+        self.folder.join(part_file_name(&self.name, number))
+    }
+
     /// Removes what is left of a scene that blew up.
     fn remove_parts(&self) -> Result<()> {
         Files::remove(&self.state())?;
@@ -203,7 +212,11 @@ impl<'a> Run<'a> {
         let kernel = CubicSpline::new(SUPPORT_IN_RADII * setup.particle_radius);
         let path = files.state();
         let old = path.exists().then(|| State::load(&path)).transpose()?;
-        let old = old.filter(|state| state.counters.get(ATTEMPT) == Some(&f64::from(attempt)));
+        // Of this attempt, and with all that it goes on from.
+        let old = old.filter(|state| {
+            state.counters.get(ATTEMPT) == Some(&f64::from(attempt))
+                && files.has_parts((state.step + 1).div_ceil(plan.part_frames()))
+        });
         let (rollout, statistics) = match old {
             None => (Rollout::new(setup)?, Statistics::default()),
             Some(state) => {
@@ -286,8 +299,7 @@ impl<'a> Run<'a> {
         let whole = frames.is_multiple_of(plan.part_frames()) || frames == plan.settings.frames;
         if whole {
             let number = state.step / plan.part_frames();
-            let path = self.files.folder.join(part_file_name(&self.files.name, number));
-            write_part(&path, &self.part)?;
+            write_part(&self.files.part(number), &self.part)?;
             self.part.frames.clear();
             let mut state = to_disk(state);
             add_statistics(&self.statistics, &mut state.counters);

@@ -124,7 +124,9 @@ fn a_killed_command_goes_on_to_the_same_files() {
         child.wait().unwrap();
     }
     assert!(make(&folder, "killed", "") == whole);
-    // What is whole is left as it is.
+    // What is whole is left as it is; a scene that has lost a part is made again.
+    assert!(make(&folder, "killed", "") == whole);
+    std::fs::remove_file(folder.path("killed/train/sim_0002_00.msgpack.zst")).unwrap();
     assert!(make(&folder, "killed", "") == whole);
 }
 
@@ -172,6 +174,10 @@ fn another_set_or_other_files_are_refused() {
     assert_eq!(run.code, Some(1));
     assert!(run.stderr.contains("manifest.json"), "{}", run.stderr);
     assert_eq!(tree(&folder.path("mine")).len(), 1);
+    // A file in place of the directory.
+    let run = folder.run(&format!("{SMALL} --out mine/notes.txt"));
+    assert_eq!(run.code, Some(1));
+    assert!(run.stderr.starts_with("error: mine/notes.txt"), "{}", run.stderr);
 }
 
 #[test]
@@ -181,6 +187,7 @@ fn settings_out_of_range() {
         ("generate --preset default --scenes 0 --valid 0 --out out", ["no scenes"]),
         ("generate --preset default --scenes 9000 --valid 1000 --out out", ["9999"]),
         ("generate --preset default --solver-dt 0.5 --out out", ["--solver-dt"]),
+        ("generate --preset default --particles 1..5 --out out", ["sim_0001"]),
     ] {
         folder.fail(arguments, &words);
     }
