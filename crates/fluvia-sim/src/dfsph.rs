@@ -362,8 +362,9 @@ fn separate(position: &mut [[f32; 3]], coincident: &Neighbors, offset: f32) {
     for (i, x) in position.iter_mut().enumerate() {
         if coincident.row(i).iter().any(|&j| (j as usize) < i) {
             // Multiples of irrational numbers: all different, all over the place, the same for the same row.
-            let turn = [0.754_877_7, 0.569_840_3, 0.430_159_7].map(|step: f32| (step * i as f32).fract());
-            (0..3).for_each(|a| x[a] += offset * (2.0 * turn[a] - 1.0));
+            let turn =
+                [0.754_877_666, 0.569_840_291, 0.430_159_709].map(|step: f64| (step * i as f64).fract());
+            (0..3).for_each(|a| x[a] += offset * (2.0 * turn[a] - 1.0) as f32);
         }
     }
 }

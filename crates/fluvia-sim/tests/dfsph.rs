@@ -260,7 +260,7 @@ fn a_lighter_liquid_stays_above() {
     let mut fluid =
         particles([block([0.05; 3], [6, 4, 6]), block([0.05, 0.25, 0.05], [6, 4, 6])].concat(), [0.0; 3]);
     fluid.body[144..].fill(1);
-    let liquids = [1000.0, 500.0].map(|density| Liquid { density, ..Liquid::default() });
+    let liquids = [1000.0, 200.0].map(|density| Liquid { density, ..Liquid::default() });
     let mut solver = Dfsph::new(Params::default(), &walls, RADIUS, &liquids).unwrap();
     run(&mut solver, &mut fluid, 100);
     let height = |rows: std::ops::Range<usize>| metrics::center_of_mass(&fluid.position[rows]).unwrap()[1];

@@ -22,6 +22,8 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use anyhow::{Context, Result, bail};
+use cconv::Kernel;
+use fluvia_sim::particles::{Acceleration, Particles};
 use fluvia_sim::scene::random::random_scene;
 use fluvia_sim::substep::Substep;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -59,7 +61,7 @@ pub struct Args {
     /// The directory to write to.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Scenes simulated at once; as many as there are threads if not given.
+    /// Scenes simulated at once, at most one a thread; as many as there are threads if not given.
     #[arg(long, value_name = "J", value_parser = threads)]
     jobs: Option<usize>,
     /// Threads, shared by the scenes; all cores if not given. Files do not depend on it.
@@ -128,9 +130,7 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
     if tasks.is_empty() {
         bail!("no scenes to make: --scenes {} --valid {}", plan.settings.scenes, plan.settings.valid);
     }
-    // A recipe that cannot be fulfilled shows before anything is written.
-    let (recipe, seed) = plan.draw(&tasks[0], 0);
-    random_scene(&recipe, seed).with_context(|| tasks[0].name.clone())?;
+    try_first(&plan, &tasks[0], report)?;
     manifest::begin(&args.out, &plan.settings)?;
     let interrupted = Arc::new(AtomicBool::new(false));
     let flag = Arc::clone(&interrupted);
@@ -152,6 +152,26 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
+/// Makes sure before anything is written that scenes can be drawn and that the solver takes them.
+fn try_first(plan: &Plan, task: &Task, report: &Report) -> Result<()> {
+    let (recipe, seed) = plan.draw(task, 0);
+    let scene = random_scene(&recipe, seed)
+        .with_context(|| format!("{} with {} particles", task.name, range_text(&recipe.particles)))?
+        .scene;
+    if let Some(warning) = plan.solver.warning(&scene) {
+        report.warning(warning);
+    }
+    let setup = scene.sample(seed)?;
+    let mut solver = plan.solver.make(&setup, Kernel::detect())?;
+    let nothing = &mut Particles::default();
+    solver.step(nothing, Acceleration::Uniform(setup.gravity), setup.dt).context("the solver's step")?;
+    Ok(())
+}
+
+fn range_text(range: &RangeInclusive<usize>) -> String {
+    format!("{}..{}", range.start(), range.end())
+}
+
 /// Makes the scenes that are not done yet, several at once; whether all are done.
 fn simulate(
     args: &Args,
@@ -161,7 +181,7 @@ fn simulate(
     progress: &Progress<'_>,
 ) -> Result<bool> {
     let cores = args.threads.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from));
-    let jobs = args.jobs.unwrap_or(cores).min(tasks.len());
+    let jobs = args.jobs.unwrap_or(cores).min(tasks.len()).min(cores);
     let next = AtomicUsize::new(0);
     let failure = Mutex::new(None);
     let fail = |error| {
@@ -181,7 +201,7 @@ fn simulate(
         for job in 0..jobs {
             // What does not divide goes to the first.
             let threads = cores / jobs + usize::from(job < cores % jobs);
-            let pool = thread_pool(Some(threads.max(1)))?;
+            let pool = thread_pool(Some(threads))?;
             scope.spawn(|| work(pool));
         }
         Ok(())

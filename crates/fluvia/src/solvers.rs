@@ -10,7 +10,7 @@ use fluvia_net::weights::Weights;
 use fluvia_sim::dfsph::{self, Dfsph, Liquid};
 use fluvia_sim::pbf::{self, Pbf};
 use fluvia_sim::rollout::Solver;
-use fluvia_sim::scene::{Material, Scene, Setup};
+use fluvia_sim::scene::{Fluid, Material, Scene, Setup};
 use fluvia_sim::substep::Substep;
 use serde_json::json;
 
@@ -159,8 +159,21 @@ fn liquid(material: Material) -> Liquid {
     }
 }
 
+/// The densities of two liquids in a scene may differ by this factor: with 10 spray flies twice as fast as it should,
+/// with 1000 the iteration diverges.
+const MOST_DENSITY_RATIO: f32 = 5.0;
+
 fn check_dfsph(scene: &Scene) -> Result<()> {
     let path = scene.path.display();
+    let own = |fluid: &Fluid| fluid.material.density.or(scene.material.density);
+    let densities = scene.fluids.iter().map(|fluid| own(fluid).unwrap_or(Liquid::default().density));
+    let (low, high) = densities.fold((f32::MAX, 0.0), |(low, high), d| (d.min(low), d.max(high)));
+    if high > MOST_DENSITY_RATIO * low {
+        bail!(
+            "{path}: `density`: {low} and {high} kg/m³, but the solver dfsph takes liquids whose densities differ by a \
+             factor of at most {MOST_DENSITY_RATIO}"
+        );
+    }
     let materials =
         scene.fluids.iter().enumerate().map(|(i, fluid)| (format!("fluids[{i}]."), fluid.material));
     for (prefix, material) in std::iter::once((String::new(), scene.material)).chain(materials) {

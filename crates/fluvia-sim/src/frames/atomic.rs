@@ -52,6 +52,27 @@ pub(super) fn is_temporary_of(name: &str, target: &str) -> bool {
     process.is_some_and(|id| !id.is_empty() && id.bytes().all(|byte| byte.is_ascii_digit()))
 }
 
+/// Removes the temporary files in a folder that killed processes have left of files whose names begin with `name`.
+///
+/// # Errors
+/// `Io`.
+pub fn remove_temporaries(folder: &Path, name: &str) -> Result<()> {
+    for entry in fs::read_dir(folder).map_err(Error::io(folder))? {
+        let file_name = entry.map_err(Error::io(folder))?.file_name();
+        let of_name = file_name.to_str().and_then(|text| text.strip_prefix('.')).is_some_and(|rest| {
+            let target = rest.strip_suffix(TEMPORARY).and_then(|rest| rest.rsplit_once('.'));
+            target.is_some_and(|(target, _)| {
+                target.starts_with(name) && is_temporary_of(&format!(".{rest}"), target)
+            })
+        });
+        if of_name {
+            let path = folder.join(file_name);
+            fs::remove_file(&path).map_err(Error::io(path))?;
+        }
+    }
+    Ok(())
+}
+
 /// How temporary names end: `.NAME.PROCESS.tmp`, which no glob for the file's extension finds.
 const TEMPORARY: &str = ".tmp";
 

@@ -1,5 +1,6 @@
 //! `manifest.json` of a data set: its settings, and the records of the scenes that are done.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use anyhow::{Context, Result, bail};
@@ -8,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use super::plan::{Plan, Settings, Split};
-use super::scene::Record;
+use super::scene::{Reason, Record, Replaced};
 use super::{Task, folder};
 
 /// Its name.
@@ -116,9 +117,13 @@ impl Manifest {
         value["complete"] = json!(self.complete);
         value["done"] = json!(self.records.len());
         value["replaced"] = json!(self.replaced);
+        let mut reasons: BTreeMap<Reason, usize> = BTreeMap::new();
+        for old in self.records.iter().flat_map(|record| &record.replaced) {
+            *reasons.entry(old.reason).or_default() += 1;
+        }
+        value["reasons"] = json!(reasons);
         value["particles_found"] = json!([particles().min(), particles().max()]);
         value["highest_speed_m_per_s"] = json!(highest(|s| s.highest_speed));
-        value["outside"] = json!(statistics().map(|s| s.outside).max());
         value["highest_density"] = json!(highest(|s| s.highest_density));
         value["worst_compression"] = json!(highest(|s| s.worst_compression));
         value["unconverged"] = json!(statistics().map(|s| s.unconverged).sum::<u64>());
@@ -138,20 +143,20 @@ impl Manifest {
             whole["particles_found"][1],
         )];
         lines.push(format!(
-            "outside the walls: {} in the worst frame; highest speed {:.2} m/s; highest density {:.4}; worst mean \
-             compression {:.4} %; unconverged solves: {}",
-            whole["outside"],
+            "highest speed {:.2} m/s; highest density {:.4}; worst mean compression {:.4} %; unconverged solves: {}",
             whole["highest_speed_m_per_s"].as_f64().unwrap_or_default(),
             whole["highest_density"].as_f64().unwrap_or_default(),
             100.0 * whole["worst_compression"].as_f64().unwrap_or_default(),
             whole["unconverged"],
         ));
-        if self.replaced > 0 {
-            lines.push(format!("scenes that blew up and were replaced: {}", self.replaced));
-            for record in &self.records {
-                for old in &record.replaced {
-                    lines.push(format!("  {} (seed {}): {}", record.name, old.seed, old.reason));
-                }
+        lines.push(format!(
+            "scenes replaced for a number that is not finite or a particle that left the walls: {}",
+            self.replaced
+        ));
+        for record in &self.records {
+            for Replaced { seed, frame, reason } in &record.replaced {
+                let reason = reason.text();
+                lines.push(format!("  {} (seed {seed}): {reason} in frame {frame}", record.name));
             }
         }
         lines.join("\n")

@@ -44,6 +44,8 @@ pub struct Record {
     pub frames: u64,
     /// What was drawn in vain: columns without a free place, bodies, scenes.
     pub retries: [u32; 3],
+    /// The lengths of its part files, bytes.
+    pub parts: Vec<u64>,
     /// Scenes that blew up; this one is in their place.
     pub replaced: Vec<Replaced>,
     pub statistics: Statistics,
@@ -55,7 +57,31 @@ pub struct Record {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Replaced {
     pub seed: u64,
-    pub reason: String,
+    /// The frame that shows it.
+    pub frame: u64,
+    pub reason: Reason,
+}
+
+/// Why a scene is no part of a data set.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Reason {
+    /// A number is not finite.
+    NotFinite,
+    /// A particle is more than a radius beyond the walls' bounding box.
+    Outside,
+    /// A particle has fallen out of the scene.
+    FellOut,
+}
+
+impl Reason {
+    pub fn text(self) -> &'static str {
+        match self {
+            Reason::NotFinite => "a number that is not finite",
+            Reason::Outside => "a particle outside the walls",
+            Reason::FellOut => "a particle that fell out",
+        }
+    }
 }
 
 /// What happened in a sequence.
@@ -63,8 +89,6 @@ pub struct Replaced {
 pub struct Statistics {
     /// Metres per second, in all frames.
     pub highest_speed: f64,
-    /// Particles more than a radius beyond the walls' bounding box, in the worst frame.
-    pub outside: usize,
     /// Density over rest density, walls included: the highest in all frames.
     pub highest_density: f64,
     /// The mean of max(0, density ratio - 1) over the particles: the mean over frames, and in the worst.
@@ -86,36 +110,48 @@ pub fn make(
     progress: &Progress<'_>,
 ) -> Result<Outcome> {
     let files = Files { folder: folder(out, task), name: task.name.clone() };
-    if files.record().exists() && files.has_parts(plan.settings.frames.div_ceil(plan.part_frames())) {
-        progress.skip(plan.steps());
-        progress.scene(&format!("{}: is there", task.name));
-        return Ok(Outcome::Done);
+    files.remove_abandoned()?;
+    if files.record().exists() {
+        let record: Record = frames::read_json(&files.record())?;
+        if files.part_lengths(record.parts.len() as u64) == record.parts {
+            progress.skip(plan.steps());
+            progress.scene(&format!("{}: is there", task.name));
+            return Ok(Outcome::Done);
+        }
+        progress.warning(&format!("{}: its parts are not those of its record; it is made again", task.name));
+        files.remove_parts()?;
     }
     let mut replaced = files.replaced()?;
     loop {
         let attempt = replaced.len() as u32;
         if attempt > MOST_ATTEMPTS {
-            let Replaced { seed, reason } = &replaced[replaced.len() - 1];
-            bail!("{}: {attempt} scenes blew up, the last (seed {seed}): {reason}", task.name);
+            let Replaced { seed, frame, reason } = replaced[replaced.len() - 1];
+            let reason = reason.text();
+            bail!(
+                "{}: {attempt} scenes blew up, the last (seed {seed}) with {reason} in frame {frame}",
+                task.name
+            );
         }
         let (recipe, seed) = plan.draw(task, attempt);
         let drawn = random::random_scene(&recipe, seed).with_context(|| task.name.clone())?;
         let setup = drawn.scene.sample(seed)?;
-        let mut run = Run::new(plan, &files, &drawn, &setup, attempt)?;
+        let mut run = Run::new(plan, &files, &drawn, &setup, seed)?;
         progress.skip(run.rollout.state().step);
         match run.simulate(plan, interrupted, progress)? {
             End::Interrupted => return Ok(Outcome::Interrupted),
             End::Whole => {
-                let record = run.record(task, seed, replaced)?;
+                let record = run.record(task, plan, replaced)?;
                 frames::write_json(&files.record(), &record)?;
                 files.remove_temporary()?;
                 progress.scene(&format!("{}: {} particles", task.name, record.particles));
                 return Ok(Outcome::Done);
             }
-            End::BlewUp(reason) => {
-                progress.warning(&format!("{} is replaced: {reason}", task.name));
-                progress.take_back(run.rollout.state().step);
-                replaced.push(Replaced { seed, reason });
+            End::BlewUp(frame, reason) => {
+                let text = reason.text();
+                progress
+                    .warning(&format!("{} (seed {seed}) is replaced: {text} in frame {frame}", task.name));
+                progress.take_back(frame - 1);
+                replaced.push(Replaced { seed, frame, reason });
                 frames::write_json(&files.attempts(), &replaced)?;
                 files.remove_parts()?;
             }
@@ -163,9 +199,16 @@ impl Files {
         Files::remove(&self.attempts())
     }
 
-    /// Whether the first `count` parts are there.
-    fn has_parts(&self, count: u64) -> bool {
-        (0..count).all(|number| self.part(number).exists())
+    /// The lengths of the first `count` parts, bytes; 0 for one that is not there.
+    fn part_lengths(&self, count: u64) -> Vec<u64> {
+        let length = |number| std::fs::metadata(self.part(number)).map_or(0, |data| data.len());
+        (0..count).map(length).collect()
+    }
+
+    /// Removes temporary files that a killed command has left.
+    fn remove_abandoned(&self) -> Result<()> {
+        frames::remove_temporaries(&self.folder, &self.name)?;
+        Ok(())
     }
 
     fn part(&self, number: u64) -> PathBuf {
@@ -184,7 +227,8 @@ impl Files {
 enum End {
     Whole,
     Interrupted,
-    BlewUp(String),
+    /// In a frame.
+    BlewUp(u64, Reason),
 }
 
 /// A scene that is simulated.
@@ -192,7 +236,7 @@ struct Run<'a> {
     files: &'a Files,
     drawn: &'a RandomScene,
     setup: &'a Setup,
-    attempt: u32,
+    seed: u64,
     wall_volumes: Vec<f32>,
     rollout: Rollout,
     statistics: Statistics,
@@ -207,15 +251,18 @@ impl<'a> Run<'a> {
         files: &'a Files,
         drawn: &'a RandomScene,
         setup: &'a Setup,
-        attempt: u32,
+        seed: u64,
     ) -> Result<Run<'a>> {
         let kernel = CubicSpline::new(SUPPORT_IN_RADII * setup.particle_radius);
         let path = files.state();
         let old = path.exists().then(|| State::load(&path)).transpose()?;
-        // Of this attempt, and with all that it goes on from.
+        // Of this attempt, and with the parts that it goes on from.
         let old = old.filter(|state| {
-            state.counters.get(ATTEMPT) == Some(&f64::from(attempt))
-                && files.has_parts((state.step + 1).div_ceil(plan.part_frames()))
+            let parts = (state.step + 1).div_ceil(plan.part_frames());
+            let lengths =
+                (0..parts).map(|number| state.counters.get(&part_counter(number)).map(|&n| n as u64));
+            state.counters.get(SEED) == Some(&(seed as f64))
+                && lengths.eq(files.part_lengths(parts).into_iter().map(Some))
         });
         let (rollout, statistics) = match old {
             None => (Rollout::new(setup)?, Statistics::default()),
@@ -227,7 +274,7 @@ impl<'a> Run<'a> {
         };
         let part = Part { scene: files.name.clone(), walls: setup.boundary.clone(), frames: Vec::new() };
         let wall_volumes = wall_volumes(&setup.boundary.position, &kernel);
-        let mut run = Run { files, drawn, setup, attempt, wall_volumes, rollout, statistics, part };
+        let mut run = Run { files, drawn, setup, seed, wall_volumes, rollout, statistics, part };
         if run.rollout.state().step == 0 {
             run.observe();
             run.keep(plan)?;
@@ -243,16 +290,14 @@ impl<'a> Run<'a> {
             }
             let step = match self.rollout.advance(solver.as_mut()) {
                 Ok(step) => step,
-                Err(error @ Error::NonFinite { .. }) => return Ok(End::BlewUp(error.to_string())),
+                Err(Error::NonFinite { step, .. }) => return Ok(End::BlewUp(step, Reason::NotFinite)),
                 Err(error) => return Err(error.into()),
             };
-            let frame = step.frame;
             if step.removed > 0 {
-                return Ok(End::BlewUp(format!("frame {frame}: {} particles fell out", step.removed)));
+                return Ok(End::BlewUp(step.frame, Reason::FellOut));
             }
             if step.outside > 0 {
-                let outside = step.outside;
-                return Ok(End::BlewUp(format!("frame {frame}: {outside} particles outside the walls")));
+                return Ok(End::BlewUp(step.frame, Reason::Outside));
             }
             self.observe();
             self.keep(plan)?;
@@ -274,7 +319,6 @@ impl<'a> Run<'a> {
         *mean_compression += (compression - *mean_compression) / (state.step + 1) as f64;
         *worst_compression = worst_compression.max(compression);
         self.statistics.highest_speed = decimal(state.summary.highest_speed);
-        self.statistics.outside = state.summary.worst_outside;
         self.statistics.unconverged = state.summary.unconverged;
     }
 
@@ -303,22 +347,26 @@ impl<'a> Run<'a> {
             self.part.frames.clear();
             let mut state = to_disk(state);
             add_statistics(&self.statistics, &mut state.counters);
-            state.counters.insert(ATTEMPT.to_owned(), f64::from(self.attempt));
+            state.counters.insert(SEED.to_owned(), self.seed as f64);
+            for (number, length) in self.files.part_lengths(number + 1).into_iter().enumerate() {
+                state.counters.insert(part_counter(number as u64), length as f64);
+            }
             state.save(&self.files.state())?;
         }
         Ok(())
     }
 
-    fn record(&self, task: &Task, seed: u64, replaced: Vec<Replaced>) -> Result<Record> {
+    fn record(&self, task: &Task, plan: &Plan, replaced: Vec<Replaced>) -> Result<Record> {
         let random::Retries { columns, bodies, scenes } = self.drawn.retries;
         Ok(Record {
             name: task.name.clone(),
             split: task.split.folder().to_owned(),
-            seed,
+            seed: self.seed,
             particles: self.rollout.state().particles.len(),
             wall_particles: self.setup.boundary.position.len(),
             frames: self.rollout.state().step + 1,
             retries: [columns, bodies, scenes],
+            parts: self.files.part_lengths(plan.settings.frames.div_ceil(plan.part_frames())),
             replaced,
             statistics: self.statistics,
             scene: serde_json::from_str(&self.drawn.scene.to_json()?)?,
@@ -327,10 +375,15 @@ impl<'a> Run<'a> {
 }
 
 /// Counters of the state file.
-const ATTEMPT: &str = "attempt";
+const SEED: &str = "seed";
 const HIGHEST_DENSITY: &str = "highest_density";
 const MEAN_COMPRESSION: &str = "mean_compression";
 const WORST_COMPRESSION: &str = "worst_compression";
+
+/// The length of a part, bytes.
+fn part_counter(number: u64) -> String {
+    format!("part_{number}_bytes")
+}
 
 fn add_statistics(statistics: &Statistics, counters: &mut BTreeMap<String, f64>) {
     counters.insert(HIGHEST_DENSITY.to_owned(), statistics.highest_density);

@@ -111,6 +111,9 @@ fn keys_that_a_solver_cannot_honour() {
     let dfsph = format!("{RUN} --solver dfsph");
     folder.write("scene.json", scene_of(r#""shape": "box", "scale": 0.2, "viscosity": 1.5"#));
     folder.fail(&dfsph, &["scene.json", "`fluids[0].viscosity`", "1.5", "dfsph takes 0 to 1"]);
+    let light = r#"}, {"shape": "box", "scale": 0.1, "translation": [0, 0.6, 0], "density": 150}]"#;
+    folder.write("scene.json", SCENE.replace("}]\n}", &format!("{light}\n}}")));
+    folder.fail(&dfsph, &["scene.json", "`density`", "150 and 1000", "at most 5"]);
     folder.write("scene.json", scene_with(r#""viscosity": 0.2, "density": 900"#));
     let warned = |more: &str| folder.succeed(&format!("{dfsph} --overwrite {more}")).stderr;
     assert!(

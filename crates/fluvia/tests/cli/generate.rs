@@ -82,7 +82,7 @@ fn the_manifest_says_what_was_made() {
     let printed = run.last_json();
     let manifest = folder.json("set/manifest.json");
     assert_eq!((&manifest["complete"], &manifest["frames"]), (&true.into(), &55.into()));
-    assert_eq!((&printed["done"], &printed["outside"]), (&3.into(), &0.into()));
+    assert_eq!((&printed["done"], &printed["replaced"]), (&3.into(), &0.into()));
     let records = manifest["records"].as_array().unwrap();
     for (record, name) in records.iter().zip(["train/sim_0001", "train/sim_0002", "valid/sim_0003"]) {
         assert_eq!(*record, folder.json(&format!("set/{name}.json")));
@@ -126,7 +126,10 @@ fn a_killed_command_goes_on_to_the_same_files() {
     assert!(make(&folder, "killed", "") == whole);
     // What is whole is left as it is; a scene that has lost a part is made again.
     assert!(make(&folder, "killed", "") == whole);
+    // As is one with a part that is cut short. What another process has left of a write is removed.
     std::fs::remove_file(folder.path("killed/train/sim_0002_00.msgpack.zst")).unwrap();
+    folder.write("killed/train/sim_0001_01.msgpack.zst", &whole["train/sim_0001_01.msgpack.zst"][..100]);
+    folder.write("killed/train/.sim_0001_00.msgpack.zst.4242.tmp", "half");
     assert!(make(&folder, "killed", "") == whole);
 }
 
@@ -187,7 +190,9 @@ fn settings_out_of_range() {
         ("generate --preset default --scenes 0 --valid 0 --out out", ["no scenes"]),
         ("generate --preset default --scenes 9000 --valid 1000 --out out", ["9999"]),
         ("generate --preset default --solver-dt 0.5 --out out", ["--solver-dt"]),
-        ("generate --preset default --particles 1..5 --out out", ["sim_0001"]),
+        ("generate --preset default --particles 1..5 --out out", ["1..5"]),
+        ("generate --preset default --duration 0.01 --out out", ["--duration"]),
+        ("generate --preset default --solver-dt-max 1e-9 --out out", ["100000"]),
     ] {
         folder.fail(arguments, &words);
     }
