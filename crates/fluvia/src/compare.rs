@@ -109,6 +109,12 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
     let (mut a, mut b) = (open(&args.a)?, open(&args.b)?);
     let mut control = args.control.as_ref().map(open).transpose()?;
     let frame = common_frames(&a, [Some(&b), control.as_ref()], args.every)?;
+    if let Some(out) = &args.out {
+        std::fs::create_dir_all(out).with_context(|| out.display().to_string())?;
+    }
+    if a.source.gravity != b.source.gravity {
+        report.warning(format_args!("{} and {} have different gravity", a.label, b.label));
+    }
     let comparison =
         thread_pool(args.threads)?.install(|| compare(&mut a, &mut b, control.as_mut(), frame, report))?;
     if let Some(out) = &args.out {
@@ -130,7 +136,9 @@ fn common_frames(a: &Run, others: [Option<&Run>; 2], every: u64) -> Result<Vec<u
         let other_path = other.source.path().display();
         if (other.source.dt - a.source.dt).abs() > 1e-6 * a.source.dt {
             let (dt, other_dt) = (a.source.dt, other.source.dt);
-            bail!("{other_path}: {other_dt} s between frames, but {path} has {dt} s");
+            bail!(
+                "{other_path}: {other_dt} s between frames, but {path} has {dt} s (--dt says it where nothing is recorded)"
+            );
         }
         if other.source.particle_radius != a.source.particle_radius {
             let (radius, other_radius) = (a.source.particle_radius, other.source.particle_radius);
@@ -174,7 +182,6 @@ fn compare(
 }
 
 fn write(out: &Path, comparison: &Comparison) -> Result<()> {
-    std::fs::create_dir_all(out).with_context(|| out.display().to_string())?;
     let plots = plots::svg(comparison).map_err(|error| anyhow::anyhow!("{}: {error}", out.display()))?;
     frames::write_json(&out.join(JSON), comparison)?;
     let text = |name: &str, text: String| {

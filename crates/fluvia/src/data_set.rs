@@ -3,13 +3,15 @@
 use std::collections::BTreeSet;
 use std::path::Path;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use fluvia_sim::frames::sequence::{self, Frame, Sequence, SequenceFiles};
+use fluvia_sim::scene::DEFAULT_DT;
 use fluvia_sim::{frames, metrics};
 use indicatif::ProgressBar;
 use rayon::prelude::*;
 use serde_json::{Map, Value, json};
 
+use crate::frame_source::recorded_scene;
 use crate::inspect::bounds;
 use crate::record::decimal;
 use crate::report::Report;
@@ -37,6 +39,8 @@ struct Content {
 /// Describes a sequence, with `dt` seconds between frames.
 pub fn sequence(files: SequenceFiles, dt: f32) -> Result<Value> {
     let (sequence, content, last) = read(files)?;
+    let recorded = recorded_scene(&sequence)?;
+    let dt = recorded.map_or(dt, |scene| scene.dt.unwrap_or(DEFAULT_DT));
     let numbers = sequence.frames();
     let mut found = json!({
         "kind": "sequence",
@@ -71,16 +75,30 @@ pub fn folder(path: &Path, dt: f32, report: &Report) -> Result<Option<Value>> {
     groups.sort_by(|(a, _), (b, _)| a.cmp(b));
     let manifest = path.join(MANIFEST);
     let manifest: Value = if manifest.exists() { frames::read_json(&manifest)? } else { Value::Null };
+    let dt = manifest["dt"].as_f64().map_or(dt, |dt| dt as f32);
+    let complete = manifest["complete"] == true;
+    let frames = manifest["frames"].as_u64().filter(|_| complete);
+    let count: usize = groups.iter().map(|(_, files)| files.len()).sum();
+    let expected = manifest["records"].as_array().map(Vec::len).filter(|_| complete);
+    if let Some(expected) = expected.filter(|&expected| expected != count) {
+        bail!("{}: {count} sequences, expected {expected} as the manifest has", path.display());
+    }
     let mut found = match groups.as_slice() {
         [] => return Ok(None),
         [(name, files)] if name.is_empty() && files.len() == 1 => sequence(files[0].clone(), dt)?,
-        _ => data_set(groups, dt, report)?,
+        _ => data_set(groups, dt, frames, report)?,
     };
     found["manifest"] = shortened(manifest);
     Ok(Some(found))
 }
 
-fn data_set(groups: Vec<(String, Vec<SequenceFiles>)>, dt: f32, report: &Report) -> Result<Value> {
+/// `frames` are those that every sequence must have, if that is known.
+fn data_set(
+    groups: Vec<(String, Vec<SequenceFiles>)>,
+    dt: f32,
+    frames: Option<u64>,
+    report: &Report,
+) -> Result<Value> {
     let count: usize = groups.iter().map(|(_, files)| files.len()).sum();
     let bar = if report.is_quiet() { ProgressBar::hidden() } else { ProgressBar::new(count as u64) };
     let mut total: Option<Content> = None;
@@ -98,6 +116,10 @@ fn data_set(groups: Vec<(String, Vec<SequenceFiles>)>, dt: f32, report: &Report)
         let mut group: Option<Content> = None;
         for one in read {
             let (sequence, content, _) = one?;
+            if let Some(expected) = frames.filter(|&expected| expected != content.frames) {
+                let (scene, found) = (sequence.scene(), content.frames);
+                bail!("{name}/{scene}: {found} frames, expected {expected} as the manifest has");
+            }
             let mut row = json!({ "scene": sequence.scene(), "particles": sequence.particles() });
             add(&mut row, content.summary(dt), &["sequences", "particles", "dt_s"]);
             rows.push(row);
@@ -195,10 +217,12 @@ fn range(values: &[f32]) -> Option<[f64; 2]> {
     Some([decimal(low), decimal(high)])
 }
 
-/// A manifest without the lists that would fill the screen.
+/// A manifest without the lists that would fill the screen: long ones, and those of objects.
 fn shortened(value: Value) -> Value {
     let inner = |value: Value| match &value {
-        Value::Array(items) if items.len() > LONGEST_LIST => json!(format!("{} entries", items.len())),
+        Value::Array(items) if items.len() > LONGEST_LIST || items.iter().any(Value::is_object) => {
+            json!(format!("{} entries", items.len()))
+        }
         Value::Object(entries) if entries.len() > LONGEST_LIST => json!(format!("{} entries", entries.len())),
         _ => shortened(value),
     };

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
 use fluvia_sim::frames::{self, ParticleData, Sequence, run, sequence};
-use fluvia_sim::scene::{DEFAULT_DT, DEFAULT_GRAVITY, DEFAULT_PARTICLE_RADIUS};
+use fluvia_sim::scene::{DEFAULT_DT, DEFAULT_GRAVITY, DEFAULT_PARTICLE_RADIUS, Scene};
 
 use crate::record::{Record, decimal};
 
@@ -55,13 +55,15 @@ impl FrameSource {
         }
         let sequence = Sequence::open(path)?;
         let (position, normal) = (sequence.walls().position.clone(), sequence.walls().normal.clone());
+        let scene = recorded_scene(&sequence)?;
+        let scene = scene.as_ref();
         Ok(FrameSource {
             path: path.to_path_buf(),
             numbers: sequence.frames().collect(),
             walls: ParticleData { position, normal: Some(normal), ..ParticleData::default() },
-            dt: decimal(dt),
-            particle_radius: DEFAULT_PARTICLE_RADIUS,
-            gravity: DEFAULT_GRAVITY,
+            dt: decimal(scene.map_or(dt, |scene| scene.dt.unwrap_or(DEFAULT_DT))),
+            particle_radius: scene.and_then(|scene| scene.particle_radius).unwrap_or(DEFAULT_PARTICLE_RADIUS),
+            gravity: scene.and_then(|scene| scene.gravity).unwrap_or(DEFAULT_GRAVITY),
             sequence: Some(sequence),
         })
     }
@@ -97,3 +99,17 @@ impl FrameSource {
 /// Why something that is there holds no frames.
 pub const NO_FRAMES: &str = "no frames, expected the directory of a run with fluid_0000.npz or the like, or a sequence \
                              (NAME_00.msgpack.zst)";
+
+/// The scene that a sequence was made from, where `fluvia generate` has left its record beside the parts.
+pub fn recorded_scene(sequence: &Sequence) -> Result<Option<Scene>> {
+    let folder = sequence.parts().first().and_then(|part| part.parent());
+    let Some(path) = folder.map(|folder| folder.join(format!("{}.json", sequence.name()))) else {
+        return Ok(None);
+    };
+    if !path.exists() {
+        return Ok(None);
+    }
+    let record: serde_json::Value = frames::read_json(&path)?;
+    let Some(scene) = record.get("scene") else { return Ok(None) };
+    Ok(Some(Scene::parse(scene.to_string().as_bytes(), &path)?))
+}

@@ -108,6 +108,10 @@ pub fn markdown(comparison: &Comparison) -> String {
     for (name, curve) in distances {
         let Some(curve) = curve else { continue };
         let millimetres: Vec<f64> = curve.iter().flatten().map(|d| 1e3 * d).collect();
+        if millimetres.is_empty() {
+            lines.push(format!("| {name} | none | none | none |"));
+            continue;
+        }
         let [mean, largest] = [mean(&millimetres), millimetres.iter().copied().fold(0.0, f64::max)];
         let last = millimetres.last().copied().unwrap_or_default();
         lines.push(format!("| {name} | {mean:.2} | {largest:.2} | {last:.2} |"));

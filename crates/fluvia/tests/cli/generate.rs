@@ -228,6 +228,16 @@ fn every_preset_makes_scenes() {
             );
         }
     }
+    // Frames of the dam break are 1/60 s apart, and its gravity is another: both are recorded.
+    let found = folder.succeed("inspect dam-break/valid/sim_0001 --json").last_json();
+    assert!((found["dt_s"].as_f64().unwrap() - 1.0 / 60.0).abs() < 1e-6, "{found}");
+    let dam = folder.succeed("compare dam-break/valid/sim_0001 dam-break/valid/sim_0002 --json").last_json();
+    let energy = dam["runs"][0]["potential_energy_j_per_kg"][0].as_f64().unwrap();
+    let height = dam["runs"][0]["center_of_mass_m"][0][1].as_f64().unwrap();
+    assert!((energy / height - 9.81 / 1.1).abs() < 1e-4, "{energy} at {height}");
+    // A set that lacks a sequence is not what its manifest says.
+    std::fs::remove_file(folder.path("dam-break/valid/sim_0002_00.msgpack.zst")).unwrap();
+    folder.fail("inspect dam-break", &["1 sequences, expected 2"]);
     let set = folder.succeed("inspect material-test --json").last_json();
     assert!(set.to_string().contains("0.044") && set.to_string().contains("0.127"), "{set}");
 }
