@@ -70,9 +70,11 @@ fn a_column_at_rest_holds_hydrostatic_pressure() {
             0.05 * layer as f64 + 0.025,
             weight(layer)
         );
-        if layer >= 3 {
+        // At the floor and at the surface single layers swing about it.
+        if layer >= 3 && weight(layer) > 1500.0 {
             found += mean;
             expected += weight(layer);
+            assert!((mean / weight(layer) - 1.0).abs() < 0.1, "layer {layer}");
         }
     }
     println!("from 0.15 m up: {:.3} times the weight", found / expected);

@@ -68,17 +68,6 @@ pub struct Run {
     pub source: FrameSource,
 }
 
-impl Run {
-    /// Opens `FRAMES` or `LABEL=FRAMES`.
-    fn open(text: &str, dt: Option<f32>) -> Result<Run> {
-        let (label, path) = match text.split_once('=') {
-            Some((label, path)) if !Path::new(text).exists() => (label.to_owned(), path),
-            _ => (text.to_owned(), text),
-        };
-        Ok(Run { label, source: FrameSource::open(Path::new(path), dt)? })
-    }
-}
-
 /// Everything that is found, as it is printed and written.
 #[derive(Serialize)]
 pub struct Comparison {
@@ -105,7 +94,10 @@ pub struct Distances {
 }
 
 pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
-    let open = |text: &String| Run::open(text, args.dt);
+    let open = |text: &String| -> Result<Run> {
+        let (label, source) = FrameSource::open_labelled(text, args.dt)?;
+        Ok(Run { label, source })
+    };
     let (mut a, mut b) = (open(&args.a)?, open(&args.b)?);
     let mut control = args.control.as_ref().map(open).transpose()?;
     let frame = common_frames(&a, [Some(&b), control.as_ref()], args.every)?;

@@ -25,6 +25,15 @@ pub struct FrameSource {
 }
 
 impl FrameSource {
+    /// Opens `FRAMES` or `LABEL=FRAMES`; gives the label, which is the text without one.
+    pub fn open_labelled(text: &str, dt: Option<f32>) -> Result<(String, FrameSource)> {
+        let (label, path) = match text.split_once('=') {
+            Some((label, path)) if !Path::new(text).exists() => (label, path),
+            _ => (text, text),
+        };
+        Ok((label.to_owned(), FrameSource::open(Path::new(path), dt)?))
+    }
+
     /// Opens the directory of a run, or a sequence: its folder, one of its parts, or the common prefix of its parts.
     /// `dt` counts where none is recorded; [`DEFAULT_DT`] if it is not given.
     pub fn open(path: &Path, dt: Option<f32>) -> Result<FrameSource> {

@@ -25,7 +25,6 @@ use anyhow::{Context, Result, bail};
 use cconv::Kernel;
 use fluvia_sim::particles::{Acceleration, Particles};
 use fluvia_sim::scene::random::random_scene;
-use fluvia_sim::substep::Substep;
 use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::options::{positive, thread_pool, threads};
@@ -119,11 +118,7 @@ fn range(text: &str) -> std::result::Result<RangeInclusive<usize>, String> {
 }
 
 pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
-    let substep = match (args.solver_dt, args.solver_dt_max) {
-        (Some(dt), _) => Some(Substep::Fixed(dt)),
-        (None, dt) => dt.map(Substep::AtMost),
-    };
-    let plan = Plan::new(args, substep)?;
+    let plan = Plan::new(args)?;
     let shard = args.shard.unwrap_or(Shard { number: 1, of: 1 });
     let tasks: Vec<Task> =
         plan.tasks().filter(|task| task.number as usize % shard.of == shard.number - 1).collect();

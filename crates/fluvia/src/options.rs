@@ -1,7 +1,8 @@
 //! Values of options that several subcommands take.
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use cconv::Precision;
+use fluvia_sim::substep::Substep;
 
 /// A pool of the given number of threads, by default one per core.
 pub fn thread_pool(threads: Option<usize>) -> Result<rayon::ThreadPool> {
@@ -22,6 +23,20 @@ pub fn threads(text: &str) -> std::result::Result<usize, String> {
 pub fn positive(text: &str) -> std::result::Result<f32, String> {
     let number = text.parse().ok().filter(|x: &f32| x.is_finite() && *x > 0.0);
     number.ok_or_else(|| "expected a positive number".into())
+}
+
+/// The step that `--solver-dt` or `--solver-dt-max` asks for, of a solver for frames that are `frame` seconds apart.
+///
+/// # Errors
+/// If a fixed step is longer than that.
+pub fn substep(fixed: Option<f32>, longest: Option<f32>, frame: f32) -> Result<Option<Substep>> {
+    match fixed {
+        Some(own) if own > frame => {
+            bail!("--solver-dt: {own} s, expected at most the {frame} s between frames")
+        }
+        Some(own) => Ok(Some(Substep::Fixed(own))),
+        None => Ok(longest.map(Substep::AtMost)),
+    }
 }
 
 /// The format in which the network's large matrix products are multiplied.

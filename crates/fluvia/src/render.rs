@@ -1,7 +1,7 @@
 //! `fluvia render`: draws frames as a picture, a contact sheet or a film.
 
 use std::num::NonZeroUsize;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 use anyhow::{Context, Result, bail};
@@ -265,13 +265,9 @@ struct Run {
 impl Run {
     /// Opens `FRAMES` or `LABEL=FRAMES`.
     fn open(text: &str, dt: Option<f32>) -> Result<Run> {
-        let (label, path) = match text.split_once('=') {
-            Some((label, path)) if !Path::new(text).exists() => (label, path),
-            _ => (text, text),
-        };
-        let source = FrameSource::open(Path::new(path), dt)?;
+        let (label, source) = FrameSource::open_labelled(text, dt)?;
         let up = against(source.gravity);
-        let mut opened = Run { label: label.to_owned(), source, outside: None, up };
+        let mut opened = Run { label, source, outside: None, up };
         if opened.source.walls().normal.is_some() {
             opened.outside = Some(OutsideTest::new(opened.walls(), opened.radius()));
         }

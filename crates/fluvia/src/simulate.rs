@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use cconv::Kernel;
 use fluvia_net::weights;
 use fluvia_sim::dfsph;
@@ -15,11 +15,11 @@ use fluvia_sim::particles::{Acceleration, Particles};
 
 use fluvia_sim::pbf;
 use fluvia_sim::rollout::{Rollout, Solver, StepReport};
-use fluvia_sim::scene::Setup;
+use fluvia_sim::scene::{DEFAULT_DT, Setup};
 use fluvia_sim::substep::Substep;
 use indicatif::{ProgressBar, ProgressStyle};
 
-use crate::options::{PrecisionName, positive, thread_pool, threads};
+use crate::options::{PrecisionName, positive, substep, thread_pool, threads};
 use crate::record::{self, Record, Source, Summary};
 use crate::report::Report;
 use crate::resume;
@@ -136,16 +136,11 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
 
 fn prepare(args: &Args, report: &Report) -> Result<Prepared> {
     let (mut scene, scene_source) = record::load_scene(&args.scene)?;
-    let (choice, weights_source) = choose(args)?;
+    let (choice, weights_source) = choose(args, scene.dt.unwrap_or(DEFAULT_DT))?;
     choice.adapt(&mut scene)?;
     let setup = scene.sample(args.seed)?;
     let kernel = Kernel::detect();
     let mut solver = choice.make(&setup, kernel)?;
-    if let Some(own) = args.solver_dt
-        && own > setup.dt
-    {
-        bail!("--solver-dt: {own} s, expected at most the {} s between frames", setup.dt);
-    }
     // A step of no particles: whether the solver takes this time step shows before anything is written.
     solver
         .step(&mut Particles::default(), Acceleration::Uniform(setup.gravity), setup.dt)
@@ -187,12 +182,10 @@ fn prepare(args: &Args, report: &Report) -> Result<Prepared> {
     Ok(Prepared { setup, solver, record, formats })
 }
 
-fn choose(args: &Args) -> Result<(Choice, Option<Source>)> {
+/// The solver that was asked for, of frames that are `frame` seconds apart.
+fn choose(args: &Args, frame: f32) -> Result<(Choice, Option<Source>)> {
     let Some(path) = &args.weights else {
-        let substep = match (args.solver_dt, args.solver_dt_max) {
-            (Some(dt), _) => Some(Substep::Fixed(dt)),
-            (None, dt) => dt.map(Substep::AtMost),
-        };
+        let substep = substep(args.solver_dt, args.solver_dt_max, frame)?;
         return Ok((args.solver.choice(substep), None));
     };
     let (bytes, source) = record::read_source(path)?;

@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::Args;
+use crate::options::substep;
 use crate::record::decimal;
 use crate::solvers::{Choice, PUBLISHED_STEP};
 
@@ -120,7 +121,7 @@ pub struct Task {
 }
 
 impl Plan {
-    pub fn new(args: &Args, substep: Option<Substep>) -> Result<Plan> {
+    pub fn new(args: &Args) -> Result<Plan> {
         let preset = args.preset;
         let mut recipe = preset.recipe(MATERIAL_TEST_VISCOSITIES[0]);
         recipe.duration = args.duration.unwrap_or(recipe.duration);
@@ -133,11 +134,7 @@ impl Plan {
         if scenes.checked_add(valid).is_none_or(|total| total > MOST_SCENES) {
             bail!("--scenes {scenes} --valid {valid}: more than {MOST_SCENES} scenes");
         }
-        if let Some(own) = args.solver_dt
-            && own > recipe.dt
-        {
-            bail!("--solver-dt: {own} s, expected at most the {} s between frames", recipe.dt);
-        }
+        let substep = substep(args.solver_dt, args.solver_dt_max, recipe.dt)?;
         let solver = match preset {
             Preset::DamBreak => {
                 let default = pbf::Params::default();
