@@ -32,12 +32,12 @@ use crate::metrics::particle_volume;
 use crate::parallel::most_neighbors;
 use crate::particles::{Acceleration, Boundary, Particles};
 use crate::rollout::{self, Solver, positive};
-use crate::substep::{Substep, parts};
+use crate::substep::Interval;
 use crate::{Error, Result};
 use boundary::{Boundaries, WallSums};
 use pairs::Pairs;
 pub use params::{Liquid, Params, Solve, StepInfo};
-use pressure::{Limits, System};
+use pressure::System;
 use row::Row;
 
 /// An adaptive step is at least this long, seconds, but for what is left of a frame interval.
@@ -178,14 +178,23 @@ impl Dfsph {
     fn solve_divergence(&mut self, h: f32) -> Solve {
         self.find_compression_rates();
         let support = self.kernel.support();
-        let limits = Limits {
+        let Fluid { pairs, walls, alpha, relative_density, source, divergence_pressure, velocity, .. } =
+            &mut self.fluid;
+        let system = System {
+            pairs,
+            walls,
+            alpha,
+            relative_density,
+            source,
+            scale: h,
+            step: h,
+            least_neighbors: LEAST_NEIGHBORS,
+            memory_limit: DIVERGENCE_MEMORY_LIMIT * support * support,
             tolerance: self.params.divergence_tolerance / h,
             min_iterations: 1,
             max_iterations: self.params.max_iterations,
         };
-        let (system, memory, velocity) = self.fluid.divergence_system(h);
-        let limit = DIVERGENCE_MEMORY_LIMIT * support * support;
-        pressure::solve(&system, &limits, limit, h, memory, velocity, &mut self.pressure_work)
+        pressure::solve(&system, divergence_pressure, velocity, &mut self.pressure_work)
     }
 
     /// Viscosity in the fluid and friction at the walls.
@@ -208,14 +217,25 @@ impl Dfsph {
     fn solve_density(&mut self, h: f32) -> Solve {
         self.find_compression_rates();
         let support = self.kernel.support();
-        let limits = Limits {
+        let Fluid {
+            pairs, walls, alpha, relative_density, source, density, density_pressure, velocity, ..
+        } = &mut self.fluid;
+        source.iter_mut().zip(&*density).for_each(|(source, density)| *source = density + h * *source - 1.0);
+        let system = System {
+            pairs,
+            walls,
+            alpha,
+            relative_density,
+            source,
+            scale: h * h,
+            step: h,
+            least_neighbors: 0,
+            memory_limit: DENSITY_MEMORY_LIMIT * support * support,
             tolerance: self.params.density_tolerance,
             min_iterations: self.params.min_iterations,
             max_iterations: self.params.max_iterations,
         };
-        let (system, memory, velocity) = self.fluid.density_system(h);
-        let limit = DENSITY_MEMORY_LIMIT * support * support;
-        pressure::solve(&system, &limits, limit, h, memory, velocity, &mut self.pressure_work)
+        pressure::solve(&system, density_pressure, velocity, &mut self.pressure_work)
     }
 
     /// x = x + h v, as far as the walls let it.
@@ -233,16 +253,12 @@ impl Dfsph {
 
     /// The longest step that the fastest particle allows, seconds.
     fn longest_step(&self) -> f64 {
-        match self.params.substep {
-            Substep::Fixed(length) => f64::from(length),
-            Substep::AtMost(length) => {
-                let Fluid { velocity, external, .. } = &self.fluid;
-                let highest = |rows: &[Row]| rows.iter().map(|row| row.length()).fold(0.0, f32::max);
-                let speed = f64::from(highest(velocity)) + f64::from(length * highest(external));
-                let travel = f64::from(self.params.travel * 2.0 * self.particle_radius);
-                (travel / speed.max(f64::MIN_POSITIVE)).max(SHORTEST_STEP).min(f64::from(length))
-            }
-        }
+        let Fluid { velocity, external, .. } = &self.fluid;
+        let Params { substep, travel, .. } = self.params;
+        let highest = |rows: &[Row]| rows.iter().map(|row| row.length()).fold(0.0, f32::max);
+        substep.within(travel * 2.0 * self.particle_radius, SHORTEST_STEP, |length| {
+            f64::from(highest(velocity)) + f64::from(length * highest(external))
+        })
     }
 }
 
@@ -262,17 +278,12 @@ impl Solver for Dfsph {
         self.load(particles, acceleration)?;
         self.steps.clear();
         let mut max_neighbors = 0;
-        let mut remaining = f64::from(dt);
-        loop {
-            let left = parts(remaining, self.longest_step());
-            let length = remaining / f64::from(left);
-            let info = self.advance(length as f32);
+        let mut interval = Interval::new(dt);
+        while !interval.is_over() {
+            let length = interval.next(self.longest_step());
+            let info = self.advance(length);
             self.steps.push(info);
             max_neighbors = max_neighbors.max(most_neighbors(&self.fluid.pairs.near));
-            if left == 1 {
-                break;
-            }
-            remaining -= length;
         }
         self.fluid.store(particles);
         Ok(rollout::StepInfo {
@@ -321,30 +332,6 @@ impl Dfsph {
 }
 
 impl Fluid {
-    /// The equations of the divergence solver, what it starts from and the velocities that it changes.
-    fn divergence_system(&mut self, h: f32) -> (System<'_>, &mut [f32], &mut [Row]) {
-        let Fluid { pairs, walls, alpha, relative_density, source, .. } = self;
-        let system = System {
-            pairs,
-            walls,
-            alpha,
-            relative_density,
-            source,
-            scale: h,
-            least_neighbors: LEAST_NEIGHBORS,
-        };
-        (system, &mut self.divergence_pressure, &mut self.velocity)
-    }
-
-    /// The same of the constant-density solver, from the rates of compression.
-    fn density_system(&mut self, h: f32) -> (System<'_>, &mut [f32], &mut [Row]) {
-        let Fluid { pairs, walls, alpha, relative_density, source, density, .. } = self;
-        source.iter_mut().zip(&*density).for_each(|(source, density)| *source = density + h * *source - 1.0);
-        let system =
-            System { pairs, walls, alpha, relative_density, source, scale: h * h, least_neighbors: 0 };
-        (system, &mut self.density_pressure, &mut self.velocity)
-    }
-
     /// Gives the particles back in the caller's order.
     fn store(&self, to: &mut Particles) {
         to.memory.resize(to.len(), [0.0; 2]);

@@ -37,7 +37,7 @@ use crate::metrics::{highest_speed, particle_volume};
 use crate::parallel::{CHUNK, most_neighbors, split_by_rows};
 use crate::particles::{Acceleration, Boundary, Particles};
 use crate::rollout::{Solver, StepInfo, positive};
-use crate::substep::{Substep, parts};
+use crate::substep::Interval;
 use crate::vector::{Vector, add, add_scaled, dot, shorten, sub};
 use crate::walls::{MAX_REACH, Walls};
 pub use params::Params;
@@ -279,19 +279,13 @@ impl Pbf {
         std::mem::swap(velocity, next);
     }
 
-    /// How many substeps to cut the `remaining` seconds of an interval of `dt` seconds into.
-    fn substeps_left(&self, remaining: f64, dt: f32) -> u32 {
-        let longest = match self.params.substep {
-            Substep::Fixed(length) => f64::from(length),
-            Substep::AtMost(length) => {
-                let gain = f64::from(highest_speed(&self.fluid.acceleration)) * f64::from(length);
-                let speed = f64::from(highest_speed(&self.fluid.velocity)) + gain;
-                let travel = f64::from(self.params.travel * self.particle_radius);
-                let least = f64::from(dt) / MAX_SUBSTEPS;
-                (travel / speed.max(f64::MIN_POSITIVE)).max(least).min(f64::from(length))
-            }
-        };
-        parts(remaining, longest)
+    /// The longest substep that the fastest particle allows in an interval of `dt` seconds, seconds.
+    fn longest_substep(&self, dt: f32) -> f64 {
+        let Fluid { velocity, acceleration, .. } = &self.fluid;
+        let Params { substep, travel, .. } = self.params;
+        substep.within(travel * self.particle_radius, f64::from(dt) / MAX_SUBSTEPS, |length| {
+            f64::from(highest_speed(velocity)) + f64::from(highest_speed(acceleration)) * f64::from(length)
+        })
     }
 }
 
@@ -310,17 +304,12 @@ impl Solver for Pbf {
         acceleration.check(particles.len())?;
         self.fluid.load(particles, acceleration, &mut self.grid, self.kernel.support());
         let mut info = StepInfo { neighbor_radius: self.kernel.support(), ..StepInfo::default() };
-        let mut remaining = f64::from(dt);
-        loop {
-            let left = self.substeps_left(remaining, dt);
-            let length = remaining / f64::from(left);
-            self.substep(length as f32);
+        let mut interval = Interval::new(dt);
+        while !interval.is_over() {
+            let length = interval.next(self.longest_substep(dt));
+            self.substep(length);
             info.substeps += 1;
             info.max_neighbors = info.max_neighbors.max(most_neighbors(&self.near.fluid));
-            if left == 1 {
-                break;
-            }
-            remaining -= length;
         }
         self.fluid.store(particles);
         Ok(info)

@@ -23,6 +23,18 @@ impl Substep {
         seconds
     }
 
+    /// The longest step in which a particle moves at most `travel` metres, but at least `least` seconds. `speed` is the
+    /// highest that a particle may have in a step of the longest length, metres per second.
+    pub(crate) fn within(self, travel: f32, least: f64, speed: impl FnOnce(f32) -> f64) -> f64 {
+        match self {
+            Substep::Fixed(length) => f64::from(length),
+            Substep::AtMost(length) => {
+                let own = f64::from(travel) / speed(length).max(f64::MIN_POSITIVE);
+                own.max(least).min(f64::from(length))
+            }
+        }
+    }
+
     /// An error unless an interval of `dt` seconds can be divided so.
     pub(crate) fn check(self, dt: f32) -> Result<()> {
         positive("dt", dt)?;
@@ -35,8 +47,27 @@ impl Substep {
     }
 }
 
-/// Into how many equal parts to cut `remaining` seconds so that none is longer than `longest`.
-pub(crate) fn parts(remaining: f64, longest: f64) -> u32 {
-    // A hair of slack against rounding: 20 ms are five steps of 4 ms, not six.
-    (remaining / longest - 1e-3).ceil().max(1.0) as u32
+/// What is left of an interval between frames.
+pub(crate) struct Interval {
+    /// Seconds.
+    remaining: f64,
+}
+
+impl Interval {
+    pub(crate) fn new(dt: f32) -> Interval {
+        Interval { remaining: f64::from(dt) }
+    }
+
+    pub(crate) fn is_over(&self) -> bool {
+        self.remaining == 0.0
+    }
+
+    /// The next step: what is left, in as few equal parts as are no longer than `longest`, seconds.
+    pub(crate) fn next(&mut self, longest: f64) -> f32 {
+        // A hair of slack against rounding: 20 ms are five steps of 4 ms, not six.
+        let parts = (self.remaining / longest - 1e-3).ceil().max(1.0);
+        let length = self.remaining / parts;
+        self.remaining = if parts == 1.0 { 0.0 } else { self.remaining - length };
+        length as f32
+    }
 }

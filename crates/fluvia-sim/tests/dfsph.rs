@@ -310,10 +310,6 @@ fn parameters_out_of_range_are_errors() {
     assert!(Dfsph::new(defaults, &Boundary::default(), -0.025, &[]).is_err());
     let mut solver = new(defaults, &[]).unwrap();
     let mut fluid = particles(vec![[0.0; 3]], [0.0; 3]);
-    for dt in [0.0, -0.02, f32::NAN, f32::INFINITY, 1e6] {
-        assert!(solver.step(&mut fluid, Acceleration::Uniform(GRAVITY), dt).is_err(), "{dt}");
-    }
-    assert!(solver.step(&mut fluid, Acceleration::PerParticle(&[GRAVITY; 2]), DT).is_err());
     fluid.memory = vec![[0.0; 2]; 3];
     assert!(solver.step(&mut fluid, NOWHERE, DT).is_err());
 }

@@ -76,3 +76,15 @@ fn odd_sets_of_particles_stay_finite() {
         }
     }
 }
+
+#[test]
+fn time_steps_and_accelerations_out_of_range_are_errors() {
+    for mut solver in solvers(&Boundary::default()) {
+        let mut fluid = particles(vec![[0.0; 3]], [0.0; 3]);
+        for dt in [0.0, -0.02, f32::NAN, f32::INFINITY, 1e6] {
+            let step = solver.step(&mut fluid, Acceleration::Uniform(GRAVITY), dt);
+            assert!(step.is_err(), "{}: {dt}", solver.name());
+        }
+        assert!(solver.step(&mut fluid, Acceleration::PerParticle(&[GRAVITY; 2]), DT).is_err());
+    }
+}

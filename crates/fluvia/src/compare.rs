@@ -10,7 +10,6 @@ use std::process::ExitCode;
 use anyhow::{Context, Result, bail};
 use fluvia_sim::frames;
 use fluvia_sim::metrics::distance_to_closest;
-use indicatif::ProgressBar;
 use serde::Serialize;
 
 use crate::frame_source::FrameSource;
@@ -153,7 +152,7 @@ fn compare(
     frame: Vec<u64>,
     report: &Report,
 ) -> Result<Comparison> {
-    let bar = if report.is_quiet() { ProgressBar::hidden() } else { ProgressBar::new(frame.len() as u64) };
+    let bar = report.bar(frame.len() as u64);
     let mut distance = Distances { control_m: control.as_ref().map(|_| Vec::new()), ..Distances::default() };
     let mut runs = [Curves::new(a), Curves::new(b)];
     for &number in &frame {

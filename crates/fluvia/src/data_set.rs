@@ -7,17 +7,14 @@ use anyhow::{Context, Result, bail};
 use fluvia_sim::frames::sequence::{self, Frame, Sequence, SequenceFiles};
 use fluvia_sim::scene::DEFAULT_DT;
 use fluvia_sim::{frames, metrics};
-use indicatif::ProgressBar;
 use rayon::prelude::*;
 use serde_json::{Map, Value, json};
 
 use crate::frame_source::recorded_scene;
+use crate::generate::MANIFEST;
 use crate::inspect::bounds;
 use crate::record::decimal;
 use crate::report::Report;
-
-/// What describes a data set as a whole; `fluvia generate` writes it.
-const MANIFEST: &str = "manifest.json";
 
 /// Lists of more than this many entries are shown as their number.
 const LONGEST_LIST: usize = 16;
@@ -31,8 +28,6 @@ struct Content {
     /// All values there are, as the bits of numbers that are not negative: they sort alike.
     viscosities: BTreeSet<u32>,
     highest_speed: f32,
-    /// Frame intervals, all sequences together.
-    intervals: u64,
     bytes: u64,
 }
 
@@ -100,7 +95,7 @@ fn data_set(
     report: &Report,
 ) -> Result<Value> {
     let count: usize = groups.iter().map(|(_, files)| files.len()).sum();
-    let bar = if report.is_quiet() { ProgressBar::hidden() } else { ProgressBar::new(count as u64) };
+    let bar = report.bar(count as u64);
     let mut total: Option<Content> = None;
     let (mut folders, mut rows) = (Map::new(), Vec::new());
     for (name, files) in groups {
@@ -152,7 +147,6 @@ fn read(files: SequenceFiles) -> Result<(Sequence, Content, Frame)> {
         particles: [sequence.particles(); 2],
         viscosities: BTreeSet::new(),
         highest_speed: 0.0,
-        intervals: numbers.end - numbers.start - 1,
         bytes: 0,
     };
     let mut last = Frame::default();
@@ -179,19 +173,19 @@ impl Content {
         self.particles = [low.min(other_low), high.max(other_high)];
         self.viscosities.append(&mut other.viscosities);
         self.highest_speed = self.highest_speed.max(other.highest_speed);
-        self.intervals += other.intervals;
         self.bytes += other.bytes;
         self
     }
 
     fn summary(&self, dt: f32) -> Value {
+        let intervals = self.frames - self.sequences as u64;
         let viscosities: Vec<f32> = self.viscosities.iter().map(|&bits| f32::from_bits(bits)).collect();
         let mut found = json!({
             "sequences": self.sequences,
             "frames": self.frames,
             "particles": self.particles,
             "viscosity": range(&viscosities),
-            "duration_s": decimal((self.intervals as f64 * decimal(dt)) as f32),
+            "duration_s": decimal((intervals as f64 * decimal(dt)) as f32),
             "dt_s": decimal(dt),
             "highest_speed_m_per_s": decimal(self.highest_speed),
             "bytes": self.bytes,

@@ -23,13 +23,13 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use anyhow::{Context, Result, bail};
 use cconv::Kernel;
-use fluvia_sim::particles::{Acceleration, Particles};
 use fluvia_sim::scene::random::random_scene;
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::ProgressBar;
 
 use crate::options::{positive, thread_pool, threads};
 use crate::report::Report;
 use crate::simulate::INTERRUPTED;
+pub use manifest::FILE as MANIFEST;
 use plan::{Plan, Preset, Task};
 use scene::Outcome;
 
@@ -156,10 +156,7 @@ fn try_first(plan: &Plan, task: &Task, report: &Report) -> Result<()> {
     if let Some(warning) = plan.solver.warning(&scene) {
         report.warning(warning);
     }
-    let setup = scene.sample(seed)?;
-    let mut solver = plan.solver.make(&setup, Kernel::detect())?;
-    let nothing = &mut Particles::default();
-    solver.step(nothing, Acceleration::Uniform(setup.gravity), setup.dt).context("the solver's step")?;
+    plan.solver.make(&scene.sample(seed)?, Kernel::detect())?;
     Ok(())
 }
 
@@ -218,11 +215,7 @@ pub struct Progress<'a> {
 impl<'a> Progress<'a> {
     fn new(plan: &Plan, tasks: &[Task], report: &'a Report) -> Progress<'a> {
         let frames = tasks.len() as u64 * plan.steps();
-        let bar = if report.is_quiet() { ProgressBar::hidden() } else { ProgressBar::new(frames) };
-        let template = "{bar:16} frame {pos}/{len}, {msg}, {eta} left";
-        bar.set_style(
-            ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar()),
-        );
+        let bar = report.bar_like(frames, "{bar:16} frame {pos}/{len}, {msg}, {eta} left");
         let progress = Progress { report, bar, scenes: tasks.len(), done: AtomicUsize::new(0) };
         progress.show();
         progress

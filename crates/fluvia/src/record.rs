@@ -6,6 +6,7 @@ use anyhow::{Context, Result};
 use fluvia_sim::rollout;
 use fluvia_sim::scene::{self, Scene, Setup};
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 use sha2::{Digest, Sha256};
 
 /// The record of a run, as it is on disk. Units are metres and seconds.
@@ -21,7 +22,7 @@ pub struct Record {
     /// "pbf" or "network".
     pub solver: String,
     /// The parameters of the solver.
-    pub parameters: serde_json::Value,
+    pub parameters: Value,
     /// The instruction set that computes: results of one are the same bits everywhere, of two they are not.
     pub kernel: String,
     /// What computed the first steps, if the run was resumed by another version or kernel.
@@ -108,18 +109,25 @@ impl Record {
             ("formats", &old.formats.join(","), &self.formats.join(",")),
         ]
         .map(|(name, old, new)| (name.to_owned(), old.clone(), new.clone()));
-        fields.into_iter().find(|(_, old, new)| old != new).or_else(|| self.other_parameter(old))
-    }
-
-    /// The first parameter of the solver that has another value.
-    fn other_parameter(&self, old: &Record) -> Option<(String, String, String)> {
-        let value = |record: &Record, key: &str| {
-            record.parameters.get(key).map_or("none".into(), serde_json::Value::to_string)
-        };
-        let keys = [old, self].into_iter().filter_map(|record| record.parameters.as_object());
-        keys.flat_map(serde_json::Map::keys)
-            .map(|key| (format!("solver's parameters, {key}"), value(old, key), value(self, key)))
+        fields
+            .into_iter()
             .find(|(_, old, new)| old != new)
+            .or_else(|| first_difference("solver's parameters", &old.parameters, &self.parameters))
+    }
+}
+
+/// The first entry in which two JSON objects differ: its key, with `prefix`, and both values.
+pub fn first_difference(prefix: &str, old: &Value, new: &Value) -> Option<(String, String, String)> {
+    match (old, new) {
+        (Value::Object(olds), Value::Object(news)) => olds.keys().chain(news.keys()).find_map(|key| {
+            let name = if prefix.is_empty() { key.clone() } else { format!("{prefix}.{key}") };
+            first_difference(&name, &old[key.as_str()], &new[key.as_str()])
+        }),
+        _ if old == new => None,
+        _ => {
+            let shown = |value: &Value| if value.is_null() { "none".into() } else { value.to_string() };
+            Some((prefix.to_owned(), shown(old), shown(new)))
+        }
     }
 }
 

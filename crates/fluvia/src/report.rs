@@ -3,6 +3,8 @@
 use std::fmt::Display;
 use std::io::Write;
 
+use indicatif::{ProgressBar, ProgressStyle};
+
 /// How much is said.
 #[derive(Clone, Copy, Debug)]
 pub struct Report {
@@ -13,6 +15,17 @@ pub struct Report {
 impl Report {
     pub fn new(quiet: bool, verbose: bool) -> Report {
         Report { quiet, verbose }
+    }
+
+    /// A bar on a terminal, unless nothing is to be said; drawn nowhere else.
+    pub fn bar(&self, length: u64) -> ProgressBar {
+        if self.quiet { ProgressBar::hidden() } else { ProgressBar::new(length) }
+    }
+
+    /// A [`bar`](Report::bar) that looks like the template.
+    pub fn bar_like(&self, length: u64, template: &str) -> ProgressBar {
+        let style = ProgressStyle::with_template(template);
+        self.bar(length).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
     }
 
     /// Whether progress may be drawn.

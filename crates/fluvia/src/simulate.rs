@@ -9,21 +9,16 @@ use std::time::Instant;
 use anyhow::{Context, Result};
 use cconv::Kernel;
 use fluvia_net::weights;
-use fluvia_sim::dfsph;
 use fluvia_sim::frames::{Format, Mode, RunDirectory};
-use fluvia_sim::particles::{Acceleration, Particles};
 
-use fluvia_sim::pbf;
 use fluvia_sim::rollout::{Rollout, Solver, StepReport};
 use fluvia_sim::scene::{DEFAULT_DT, Setup};
-use fluvia_sim::substep::Substep;
-use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::options::{PrecisionName, positive, substep, thread_pool, threads};
 use crate::record::{self, Record, Source, Summary};
 use crate::report::Report;
 use crate::resume;
-use crate::solvers::Choice;
+use crate::solvers::{Choice, SolverName};
 
 /// The exit code of a run that Ctrl-C stopped, as shells give it to a process ended by that signal.
 pub const INTERRUPTED: u8 = 130;
@@ -82,30 +77,6 @@ pub struct Args {
     json: bool,
 }
 
-#[derive(Clone, Copy, clap::ValueEnum)]
-enum SolverName {
-    /// Divergence-free SPH (Bender & Koschier 2015), the solver of the published data.
-    Dfsph,
-    /// Position-based fluids (Macklin & Müller 2013).
-    Pbf,
-}
-
-impl SolverName {
-    /// The solver with its default parameters but for the step.
-    fn choice(self, substep: Option<Substep>) -> Choice {
-        match self {
-            SolverName::Dfsph => {
-                let default = dfsph::Params::default();
-                Choice::Dfsph(dfsph::Params { substep: substep.unwrap_or(default.substep), ..default })
-            }
-            SolverName::Pbf => {
-                let default = pbf::Params::default();
-                Choice::Pbf(pbf::Params { substep: substep.unwrap_or(default.substep), ..default })
-            }
-        }
-    }
-}
-
 impl Args {
     fn out(&self) -> PathBuf {
         self.out.clone().unwrap_or_else(|| {
@@ -140,11 +111,7 @@ fn prepare(args: &Args, report: &Report) -> Result<Prepared> {
     choice.adapt(&mut scene)?;
     let setup = scene.sample(args.seed)?;
     let kernel = Kernel::detect();
-    let mut solver = choice.make(&setup, kernel)?;
-    // A step of no particles: whether the solver takes this time step shows before anything is written.
-    solver
-        .step(&mut Particles::default(), Acceleration::Uniform(setup.gravity), setup.dt)
-        .with_context(|| format!("{}: `dt`", args.scene))?;
+    let solver = choice.make(&setup, kernel).with_context(|| args.scene.clone())?;
     if let Some(warning) = choice.warning(&scene) {
         report.warning(warning);
     }
@@ -218,7 +185,10 @@ fn simulate(args: &Args, report: &Report, prepared: Prepared) -> Result<ExitCode
     ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("cannot watch for Ctrl-C")?;
 
     let first_step = rollout.state().step;
-    let bar = progress_bar(args.steps, first_step, report);
+    // Fits the 80 columns of a plain terminal up to millions of particles.
+    let bar = report.bar_like(args.steps, "{bar:16} step {pos}/{len}, {msg}, {eta} left");
+    bar.set_position(first_step);
+    bar.reset_eta();
     let (mut seconds, mut warned) = (0.0, Warned::default());
     while rollout.state().step < args.steps && !interrupted.load(Ordering::Relaxed) {
         let start = Instant::now();
@@ -298,20 +268,6 @@ impl Warned {
 /// "1 particle", "2 particles".
 fn counted(count: usize, thing: &str) -> String {
     format!("{count} {thing}{}", if count == 1 { "" } else { "s" })
-}
-
-/// A bar on a terminal; drawn nowhere else.
-fn progress_bar(steps: u64, first: u64, report: &Report) -> ProgressBar {
-    if report.is_quiet() {
-        return ProgressBar::hidden();
-    }
-    let bar = ProgressBar::new(steps);
-    // Fits the 80 columns of a plain terminal up to millions of particles.
-    let template = "{bar:16} step {pos}/{len}, {msg}, {eta} left";
-    bar.set_style(ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar()));
-    bar.set_position(first);
-    bar.reset_eta();
-    bar
 }
 
 fn describe(summary: &Summary, out: &Path) -> String {

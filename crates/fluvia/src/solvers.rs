@@ -2,12 +2,13 @@
 
 use std::path::Path;
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
 use cconv::Kernel;
 use fluvia_net::config::Config;
 use fluvia_net::solver::NetSolver;
 use fluvia_net::weights::Weights;
 use fluvia_sim::dfsph::{self, Dfsph, Liquid};
+use fluvia_sim::particles::{Acceleration, Particles};
 use fluvia_sim::pbf::{self, Pbf};
 use fluvia_sim::rollout::Solver;
 use fluvia_sim::scene::{Fluid, Material, Scene, Setup};
@@ -25,6 +26,31 @@ pub enum Choice {
     Dfsph(dfsph::Params),
     Pbf(pbf::Params),
     Network(Box<Weights>, PrecisionName),
+}
+
+/// A solver that needs no weights.
+#[derive(Clone, Copy, clap::ValueEnum)]
+pub enum SolverName {
+    /// Divergence-free SPH (Bender & Koschier 2015), the solver of the published data.
+    Dfsph,
+    /// Position-based fluids (Macklin & Müller 2013).
+    Pbf,
+}
+
+impl SolverName {
+    /// The solver with its default parameters but for the step.
+    pub fn choice(self, substep: Option<Substep>) -> Choice {
+        match self {
+            SolverName::Dfsph => {
+                let default = dfsph::Params::default();
+                Choice::Dfsph(dfsph::Params { substep: substep.unwrap_or(default.substep), ..default })
+            }
+            SolverName::Pbf => {
+                let default = pbf::Params::default();
+                Choice::Pbf(pbf::Params { substep: substep.unwrap_or(default.substep), ..default })
+            }
+        }
+    }
 }
 
 impl Choice {
@@ -71,9 +97,9 @@ impl Choice {
         }
     }
 
-    /// Makes the solver for the walls of a set-up.
+    /// Makes the solver for the walls of a set-up, and makes sure that it takes the set-up's time step.
     pub fn make(&self, setup: &Setup, kernel: Kernel) -> Result<Box<dyn Solver>> {
-        Ok(match self {
+        let mut solver: Box<dyn Solver> = match self {
             Choice::Dfsph(params) => {
                 let liquids: Vec<_> = setup.emitters.iter().map(|emitter| liquid(emitter.material)).collect();
                 Box::new(Dfsph::new(*params, &setup.boundary, setup.particle_radius, &liquids)?)
@@ -84,7 +110,11 @@ impl Choice {
                 let solver = NetSolver::new(weights, &setup.boundary, &viscosity, kernel)?;
                 Box::new(solver.with_precision((*precision).into()))
             }
-        })
+        };
+        // A step of no particles: what is wrong shows before anything is written.
+        let nothing = &mut Particles::default();
+        solver.step(nothing, Acceleration::Uniform(setup.gravity), setup.dt).context("`dt`")?;
+        Ok(solver)
     }
 
     /// The instruction set that computes.
@@ -150,8 +180,8 @@ fn step(substep: Substep) -> (&'static str, f32) {
     }
 }
 
-/// The material of a fluid for DFSPH.
-fn liquid(material: Material) -> Liquid {
+/// The material of a fluid, with that of the published data where it has none of its own.
+pub fn liquid(material: Material) -> Liquid {
     let default = Liquid::default();
     Liquid {
         viscosity: material.viscosity.unwrap_or(default.viscosity),

@@ -28,7 +28,7 @@ const RELAXATION: f32 = 0.5;
 /// The part of the last step's pressure that an iteration starts from.
 const WARM_START: f32 = 0.5;
 
-/// The equations of one solver in one step.
+/// The equations of one solver in one step, and when their iteration ends.
 pub struct System<'a> {
     pub pairs: &'a Pairs,
     pub walls: &'a [WallSums],
@@ -40,12 +40,13 @@ pub struct System<'a> {
     pub source: &'a [f32],
     /// τ.
     pub scale: f32,
+    /// h, seconds.
+    pub step: f32,
     /// Particles with fewer neighbours are not counted in the error.
     pub least_neighbors: u32,
-}
-
-/// When an iteration ends.
-pub struct Limits {
+    /// P τ of the last step that an iteration starts from, at most.
+    pub memory_limit: f32,
+    /// The mean error at which it is done.
     pub tolerance: f32,
     pub min_iterations: u32,
     pub max_iterations: u32,
@@ -62,18 +63,10 @@ pub struct Workspace {
     error: Vec<f32>,
 }
 
-/// Solves the system and adds `time` times the pressure acceleration to the velocities. `memory` is P times τ of the
-/// last step, at most `limit`, and becomes that of this one.
-pub fn solve(
-    system: &System<'_>,
-    limits: &Limits,
-    memory_limit: f32,
-    time: f32,
-    memory: &mut [f32],
-    velocity: &mut [Row],
-    work: &mut Workspace,
-) -> Solve {
-    let scale = system.scale;
+/// Solves the system and lets the pressure act on the velocities. `memory` is P τ of the last step and becomes that of
+/// this one.
+pub fn solve(system: &System<'_>, memory: &mut [f32], velocity: &mut [Row], work: &mut Workspace) -> Solve {
+    let &System { scale, step, memory_limit, tolerance, min_iterations, max_iterations, .. } = system;
     let mut any = false;
     for (i, (pressure, &source)) in memory.iter_mut().zip(system.source).enumerate() {
         any |= source > 0.0 || source.is_nan();
@@ -85,18 +78,18 @@ pub fn solve(
         return Solve { iterations: 0, error: 0.0, converged: true };
     }
     let mut solve = Solve::default();
-    while solve.iterations < limits.max_iterations {
+    while solve.iterations < max_iterations {
         system.accelerate(memory, work);
         solve.error = system.update(memory, work);
         solve.iterations += 1;
-        solve.converged = solve.error <= limits.tolerance;
-        if (solve.converged && solve.iterations >= limits.min_iterations) || !solve.error.is_finite() {
+        solve.converged = solve.error <= tolerance;
+        if (solve.converged && solve.iterations >= min_iterations) || !solve.error.is_finite() {
             break;
         }
     }
     system.accelerate(memory, work);
     for (velocity, &acceleration) in velocity.iter_mut().zip(&work.acceleration) {
-        velocity.add_scaled(time, acceleration);
+        velocity.add_scaled(step, acceleration);
     }
     memory.iter_mut().for_each(|pressure| *pressure *= scale);
     solve

@@ -42,14 +42,15 @@ pub fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T> {
     serde_json::from_slice(&text).map_err(|error| Error::file(path, error.to_string()))
 }
 
+/// The file that a temporary file of [`write_atomically`] is for; `None` for the name of another file.
+fn target_of(name: &str) -> Option<&str> {
+    let (target, process) = name.strip_prefix('.')?.strip_suffix(TEMPORARY)?.rsplit_once('.')?;
+    (!process.is_empty() && process.bytes().all(|byte| byte.is_ascii_digit())).then_some(target)
+}
+
 /// Whether `name` is that of a temporary file that [`write_atomically`] makes for `target`.
 pub(super) fn is_temporary_of(name: &str, target: &str) -> bool {
-    let process = name
-        .strip_prefix('.')
-        .and_then(|rest| rest.strip_prefix(target))
-        .and_then(|rest| rest.strip_prefix('.'))
-        .and_then(|rest| rest.strip_suffix(TEMPORARY));
-    process.is_some_and(|id| !id.is_empty() && id.bytes().all(|byte| byte.is_ascii_digit()))
+    target_of(name) == Some(target)
 }
 
 /// Removes the temporary files in a folder that killed processes have left of files whose names begin with `name`.
@@ -59,13 +60,7 @@ pub(super) fn is_temporary_of(name: &str, target: &str) -> bool {
 pub fn remove_temporaries(folder: &Path, name: &str) -> Result<()> {
     for entry in fs::read_dir(folder).map_err(Error::io(folder))? {
         let file_name = entry.map_err(Error::io(folder))?.file_name();
-        let of_name = file_name.to_str().and_then(|text| text.strip_prefix('.')).is_some_and(|rest| {
-            let target = rest.strip_suffix(TEMPORARY).and_then(|rest| rest.rsplit_once('.'));
-            target.is_some_and(|(target, _)| {
-                target.starts_with(name) && is_temporary_of(&format!(".{rest}"), target)
-            })
-        });
-        if of_name {
+        if file_name.to_str().and_then(target_of).is_some_and(|target| target.starts_with(name)) {
             let path = folder.join(file_name);
             fs::remove_file(&path).map_err(Error::io(path))?;
         }

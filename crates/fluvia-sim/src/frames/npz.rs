@@ -14,7 +14,7 @@ use zip::{CompressionMethod, DateTime, ZipArchive, ZipWriter};
 
 use super::Rows;
 use super::columns::{Columns, Quantity};
-use super::numbers::{ByteOrder, Parsed, Scalar, shown};
+use super::numbers::{ByteOrder, Parsed, Scalar, numpy_type, shown};
 use crate::{Error, Result};
 
 /// An array: its shape, and its numbers in C order (the last index runs fastest).
@@ -242,24 +242,7 @@ impl Header {
         let axes = axes.split(',').map(str::trim).filter(|axis| !axis.is_empty());
         let shape: Vec<usize> =
             axes.map(|axis| axis.trim_end_matches('L').parse().ok()).collect::<Option<_>>()?;
-        let (order, code) = match kind.split_at_checked(1) {
-            Some(("<" | "|" | "=", code)) => (ByteOrder::Little, code),
-            Some((">", code)) => (ByteOrder::Big, code),
-            _ => (ByteOrder::Little, ""),
-        };
-        let scalar = match code {
-            "i1" => Some(Scalar::I8),
-            "u1" | "b1" => Some(Scalar::U8),
-            "i2" => Some(Scalar::I16),
-            "u2" => Some(Scalar::U16),
-            "i4" => Some(Scalar::I32),
-            "u4" => Some(Scalar::U32),
-            "i8" => Some(Scalar::I64),
-            "u8" => Some(Scalar::U64),
-            "f4" => Some(Scalar::F32),
-            "f8" => Some(Scalar::F64),
-            _ => None,
-        };
+        let (order, scalar) = numpy_type(kind);
         (shape.len() <= MOST_AXES).then(|| Header { kind: kind.to_owned(), scalar, order, fortran, shape })
     }
 

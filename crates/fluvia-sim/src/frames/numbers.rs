@@ -75,6 +75,29 @@ impl Scalar {
     }
 }
 
+/// What NumPy calls a type: '<f4', '>i8', '|u1'. No scalar for what is no number of a known size.
+pub(super) fn numpy_type(kind: &str) -> (ByteOrder, Option<Scalar>) {
+    let (order, code) = match kind.split_at_checked(1) {
+        Some(("<" | "|" | "=", code)) => (ByteOrder::Little, code),
+        Some((">", code)) => (ByteOrder::Big, code),
+        _ => (ByteOrder::Little, ""),
+    };
+    let scalar = match code {
+        "i1" => Some(Scalar::I8),
+        "u1" | "b1" => Some(Scalar::U8),
+        "i2" => Some(Scalar::I16),
+        "u2" => Some(Scalar::U16),
+        "i4" => Some(Scalar::I32),
+        "u4" => Some(Scalar::U32),
+        "i8" => Some(Scalar::I64),
+        "u8" => Some(Scalar::U64),
+        "f4" => Some(Scalar::F32),
+        "f8" => Some(Scalar::F64),
+        _ => None,
+    };
+    (order, scalar)
+}
+
 /// A position in the bytes of a file.
 #[derive(Clone)]
 pub(super) struct Cursor<'a> {

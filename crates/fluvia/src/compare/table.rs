@@ -39,22 +39,19 @@ pub fn differences(runs: &[Curves; 2], frame: &[u64]) -> Vec<Difference> {
         let [a, b] = [curve(&runs[0]), curve(&runs[1])];
         let pairs: Vec<(u64, f64, f64)> =
             frame.iter().zip(a.iter().zip(&b)).filter_map(|(&n, (a, b))| Some((n, (*a)?, (*b)?))).collect();
-        let apart = |&(_, a, b): &(u64, f64, f64)| (a - b).abs();
-        let farthest = pairs.iter().max_by(|x, y| apart(x).total_cmp(&apart(y)))?;
-        let values = || pairs.iter().map(|&(_, a, _)| a);
-        let end = &pairs[end_of(pairs.len())..];
-        let mean = |values: &mut dyn Iterator<Item = f64>, count: usize| values.sum::<f64>() / count as f64;
+        let apart: Vec<f64> = pairs.iter().map(|&(_, a, b)| (a - b).abs()).collect();
+        let farthest = (0..pairs.len()).max_by(|&i, &k| apart[i].total_cmp(&apart[k]))?;
+        let [a, b]: [Vec<f64>; 2] =
+            [pairs.iter().map(|pair| pair.1).collect(), pairs.iter().map(|pair| pair.2).collect()];
+        let end = end_of(pairs.len());
         Some(Difference {
             quantity,
             unit,
-            range: values().fold(f64::MIN, f64::max) - values().fold(f64::MAX, f64::min),
-            largest: apart(farthest),
-            at_frame: farthest.0,
-            mean: mean(&mut pairs.iter().map(apart), pairs.len()),
-            end: [
-                mean(&mut end.iter().map(|&(_, a, _)| a), end.len()),
-                mean(&mut end.iter().map(|&(_, _, b)| b), end.len()),
-            ],
+            range: a.iter().copied().fold(f64::MIN, f64::max) - a.iter().copied().fold(f64::MAX, f64::min),
+            largest: apart[farthest],
+            at_frame: pairs[farthest].0,
+            mean: mean(&apart),
+            end: [mean(&a[end..]), mean(&b[end..])],
         })
     });
     differences.collect()

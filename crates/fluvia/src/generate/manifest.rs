@@ -11,9 +11,10 @@ use serde_json::{Value, json};
 use super::plan::{Plan, Settings, Split};
 use super::scene::{Reason, Record, Replaced};
 use super::{Task, folder};
+use crate::record::first_difference;
 
 /// Its name.
-const FILE: &str = "manifest.json";
+pub const FILE: &str = "manifest.json";
 
 /// The folders beside it.
 const FOLDERS: [&str; 2] = [Split::Train.folder(), Split::Valid.folder()];
@@ -41,7 +42,7 @@ pub fn begin(out: &Path, settings: &Settings) -> Result<()> {
         let old: Manifest = frames::read_json(&path)?;
         let value = |settings: &Settings| serde_json::to_value(settings);
         let (old, new) = (value(&old.settings)?, value(settings)?);
-        if let Some((key, old, new)) = difference("", &old, &new) {
+        if let Some((key, old, new)) = first_difference("", &old, &new) {
             bail!("{}: not the same data set, its {key}: {old}, now: {new}", path.display());
         }
     } else {
@@ -160,17 +161,5 @@ impl Manifest {
             }
         }
         lines.join("\n")
-    }
-}
-
-/// The first entry in which two objects differ: its key and both values.
-fn difference(prefix: &str, old: &Value, new: &Value) -> Option<(String, String, String)> {
-    match (old, new) {
-        (Value::Object(olds), Value::Object(news)) => olds.keys().chain(news.keys()).find_map(|key| {
-            let prefix = if prefix.is_empty() { key.clone() } else { format!("{prefix}.{key}") };
-            difference(&prefix, &old[key.as_str()], &new[key.as_str()])
-        }),
-        _ if old == new => None,
-        _ => Some((prefix.to_owned(), old.to_string(), new.to_string())),
     }
 }

@@ -4,14 +4,13 @@ use anyhow::{Result, bail};
 use fluvia_sim::frames::sequence::FRAMES_PER_PART;
 use fluvia_sim::scene::random::{MATERIAL_TEST_VISCOSITIES, Recipe, Speed};
 use fluvia_sim::substep::Substep;
-use fluvia_sim::{dfsph, pbf};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::Args;
 use crate::options::substep;
 use crate::record::decimal;
-use crate::solvers::{Choice, PUBLISHED_STEP};
+use crate::solvers::{Choice, PUBLISHED_STEP, SolverName};
 
 /// The largest number that file names have room for.
 const MOST_SCENES: u32 = 9999;
@@ -136,14 +135,8 @@ impl Plan {
         }
         let substep = substep(args.solver_dt, args.solver_dt_max, recipe.dt)?;
         let solver = match preset {
-            Preset::DamBreak => {
-                let default = pbf::Params::default();
-                Choice::Pbf(pbf::Params { substep: substep.unwrap_or(default.substep), ..default })
-            }
-            _ => Choice::Dfsph(dfsph::Params {
-                substep: substep.unwrap_or(Substep::Fixed(PUBLISHED_STEP)),
-                ..dfsph::Params::default()
-            }),
+            Preset::DamBreak => SolverName::Pbf.choice(substep),
+            _ => SolverName::Dfsph.choice(substep.or(Some(Substep::Fixed(PUBLISHED_STEP)))),
         };
         let frames = (f64::from(recipe.duration) / f64::from(recipe.dt)).round() as u64;
         if frames < 2 {

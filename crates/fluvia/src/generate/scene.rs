@@ -11,8 +11,8 @@ use fluvia_sim::frames::{self, State};
 use fluvia_sim::kernel::{CubicSpline, SUPPORT_IN_RADII, wall_volumes};
 use fluvia_sim::metrics;
 use fluvia_sim::rollout::Rollout;
+use fluvia_sim::scene::Setup;
 use fluvia_sim::scene::random::{self, RandomScene};
-use fluvia_sim::scene::{Material, Setup};
 use fluvia_sim::{Error, dfsph::Liquid};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -21,6 +21,7 @@ use super::plan::{Plan, Task};
 use super::{Progress, folder};
 use crate::record::decimal;
 use crate::resume::{from_disk, to_disk};
+use crate::solvers::liquid;
 
 /// Scenes that are drawn in place of one that blew up, at most.
 const MOST_ATTEMPTS: u32 = 10;
@@ -110,7 +111,7 @@ pub fn make(
     progress: &Progress<'_>,
 ) -> Result<Outcome> {
     let files = Files { folder: folder(out, task), name: task.name.clone() };
-    files.remove_abandoned()?;
+    frames::remove_temporaries(&files.folder, &files.name)?;
     if files.record().exists() {
         let record: Record = frames::read_json(&files.record())?;
         if files.part_lengths(record.parts.len() as u64) == record.parts {
@@ -203,12 +204,6 @@ impl Files {
     fn part_lengths(&self, count: u64) -> Vec<u64> {
         let length = |number| std::fs::metadata(self.part(number)).map_or(0, |data| data.len());
         (0..count).map(length).collect()
-    }
-
-    /// Removes temporary files that a killed command has left.
-    fn remove_abandoned(&self) -> Result<()> {
-        frames::remove_temporaries(&self.folder, &self.name)?;
-        Ok(())
     }
 
     fn part(&self, number: u64) -> PathBuf {
@@ -326,18 +321,15 @@ impl<'a> Run<'a> {
     fn keep(&mut self, plan: &Plan) -> Result<()> {
         let state = self.rollout.state();
         let particles = &state.particles;
-        let material = |body: &u32| self.setup.emitters[*body as usize].material;
-        let mass = |material: Material| {
-            let density = material.density.unwrap_or(Liquid::default().density);
-            stored_mass(density, self.setup.particle_radius)
-        };
-        let viscosity = |material: Material| material.viscosity.unwrap_or(Liquid::default().viscosity);
+        let liquids: Vec<Liquid> = self.setup.emitters.iter().map(|e| liquid(e.material)).collect();
+        let mass = |liquid: &Liquid| stored_mass(liquid.density, self.setup.particle_radius);
+        let of_bodies = || particles.body.iter().map(|&body| &liquids[body as usize]);
         self.part.frames.push(Frame {
             number: state.step,
             position: particles.position.clone(),
             velocity: particles.velocity.clone(),
-            mass: particles.body.iter().map(|body| mass(material(body))).collect(),
-            viscosity: particles.body.iter().map(|body| viscosity(material(body))).collect(),
+            mass: of_bodies().map(mass).collect(),
+            viscosity: of_bodies().map(|liquid| liquid.viscosity).collect(),
         });
         let frames = state.step + 1;
         let whole = frames.is_multiple_of(plan.part_frames()) || frames == plan.settings.frames;

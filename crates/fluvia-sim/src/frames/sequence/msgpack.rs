@@ -9,7 +9,7 @@ use std::io::{self, Read};
 use rmp::Marker;
 use zrip::FrameDecoder;
 
-use super::super::numbers::{ByteOrder, Parsed, Scalar, shown};
+use super::super::numbers::{Parsed, numpy_type, shown};
 use super::zst;
 
 /// What a value begins with; of texts, bytes and extensions the content follows, of lists and maps the items.
@@ -254,23 +254,9 @@ impl Array {
 
     /// The integer in an array of one, called `name`.
     fn integer(&self, name: &str) -> Parsed<i128> {
-        let (order, code) = match self.kind.split_at_checked(1) {
-            Some(("<" | "|", code)) => (ByteOrder::Little, code),
-            Some((">", code)) => (ByteOrder::Big, code),
-            _ => (ByteOrder::Little, ""),
-        };
-        let scalar = match code {
-            "i1" => Some(Scalar::I8),
-            "u1" => Some(Scalar::U8),
-            "i2" => Some(Scalar::I16),
-            "u2" => Some(Scalar::U16),
-            "i4" => Some(Scalar::I32),
-            "u4" => Some(Scalar::U32),
-            "i8" => Some(Scalar::I64),
-            "u8" => Some(Scalar::U64),
-            _ => None,
-        };
-        match scalar {
+        let (order, scalar) = numpy_type(&self.kind);
+        let is_integer = self.kind.trim_start_matches(['<', '>', '|']).starts_with(['i', 'u']);
+        match scalar.filter(|_| is_integer) {
             // Frame numbers are far below 2^53, up to which an f64 is exact.
             Some(scalar) if scalar.size() == self.data.len() => Ok(scalar.decode(order, &self.data) as i128),
             Some(_) => {
