@@ -11,6 +11,7 @@ use fluvia_sim::frames::sequence::{
     self, FRAMES_PER_PART, Frame, Part, Sequence, parse_part, read_part, stored_mass, write_part,
 };
 use fluvia_sim::particles::Boundary;
+use fluvia_sim::scene::Scene;
 use proptest::prelude::*;
 
 mod common;
@@ -200,6 +201,22 @@ fn a_sequence_is_a_folder_a_part_or_a_prefix() {
         let message = one_line(&Sequence::open(&path).unwrap_err(), &path);
         assert!(mentions.iter().all(|mention| message.contains(mention)), "{message}");
     }
+}
+
+#[test]
+fn a_scene_starts_where_a_part_does() {
+    let path = fixtures().join("plain/fall_01.msgpack.zst");
+    let text = r#"{
+        "walls": [{ "particles": "fall_01.msgpack.zst" }],
+        "fluids": [{ "particles": "fall_01.msgpack.zst", "translation": [1, 0, 0] }]
+    }"#;
+    let scene = Scene::parse(text.as_bytes(), fixtures().join("plain/scene.json")).unwrap();
+    let setup = scene.sample(0).unwrap();
+    let part = read_part(&path).unwrap();
+    assert_eq!(setup.boundary, part.walls);
+    let moved = part.frames[0].position.iter().map(|&[x, y, z]| [x + 1.0, y, z]).collect::<Vec<_>>();
+    assert_eq!(setup.emitters[0].position, moved);
+    assert_eq!(setup.emitters[0].velocity, part.frames[0].velocity);
 }
 
 #[test]

@@ -108,6 +108,13 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
     }
     let comparison =
         thread_pool(args.threads)?.install(|| compare(&mut a, &mut b, control.as_mut(), frame, report))?;
+    let [in_a, in_b] = comparison.runs.each_ref().map(|run| run.particles[0]);
+    if in_a != in_b {
+        let (first, a, b) = (comparison.frame[0], &a.label, &b.label);
+        report.warning(format_args!(
+            "{a} has {in_a} particles in frame {first}, {b} {in_b}: not the same scene?"
+        ));
+    }
     if let Some(out) = &args.out {
         write(out, &comparison)?;
     }

@@ -89,6 +89,20 @@ pub fn parse_part(path: &Path, bytes: &[u8]) -> Result<Part> {
     read_all(bytes, bytes.len() as u64).map_err(|message| Error::file(path, message))
 }
 
+/// Whether a file name is that of a part of a sequence.
+pub fn is_part(path: &Path) -> bool {
+    path.file_name().and_then(|name| name.to_str()).is_some_and(|name| name.ends_with(EXTENSION))
+}
+
+/// The walls and the first frame of a part file; the rest of it is not read.
+///
+/// # Errors
+/// As [`read_part`].
+pub fn read_start(path: &Path) -> Result<(Boundary, Frame)> {
+    let start = Start::read(path)?;
+    Ok((start.walls, start.frame))
+}
+
 /// The sequences that `path` names: all in a folder, the one that a part file is of (with that part only), or the one
 /// whose parts begin with `path` (`valid/sim_0206`). None if there are none.
 ///
@@ -250,25 +264,40 @@ impl Sequence {
     }
 
     fn of_one(path: &Path) -> Result<Sequence> {
-        let (file, length) = open_part(path)?;
-        let wrong = |message| Error::file(path, message);
-        let mut reader = PartReader::new(file, length).map_err(wrong)?;
-        let claimed = reader.claimed();
-        let frame = reader.next().map_err(wrong)?.ok_or_else(|| wrong("no frames".into()))?;
-        let end = frame.number + claimed;
-        let (scene, walls) = reader.finish();
+        let Start { scene, walls, frame, claimed } = Start::read(path)?;
         Ok(Sequence {
             files: SequenceFiles { name: scene.clone(), parts: vec![path.to_path_buf()] },
             scene,
             walls,
             particles: frame.position.len(),
-            starts: vec![frame.number, end],
+            starts: vec![frame.number, frame.number + claimed],
             loaded: None,
         })
     }
 
     fn end(&self) -> u64 {
         self.starts[self.starts.len() - 1]
+    }
+}
+
+/// The beginning of a part file.
+struct Start {
+    scene: String,
+    walls: Boundary,
+    frame: Frame,
+    /// The number of frames that the file claims to have.
+    claimed: u64,
+}
+
+impl Start {
+    fn read(path: &Path) -> Result<Start> {
+        let (file, length) = open_part(path)?;
+        let wrong = |message| Error::file(path, message);
+        let mut reader = PartReader::new(file, length).map_err(wrong)?;
+        let claimed = reader.claimed();
+        let frame = reader.next().map_err(wrong)?.ok_or_else(|| wrong("no frames".into()))?;
+        let (scene, walls) = reader.finish();
+        Ok(Start { scene, walls, frame, claimed })
     }
 }
 

@@ -9,10 +9,12 @@ use super::{
     DEFAULT_DT, DEFAULT_GRAVITY, DEFAULT_PARTICLE_RADIUS, Emitter, Fluid, Material, Placement, SampledWall,
     Scene, Setup, Source, Wall,
 };
+use crate::frames::sequence::{self, Frame};
+use crate::frames::{self, ParticleData};
 use crate::mesh::TriangleMesh;
 use crate::particles::Boundary;
 use crate::sampling::{Fault, MAX_FLUID_PARTICLES, MAX_WALL_PARTICLES, sample_surface, sample_volume};
-use crate::{Error, Result, frames};
+use crate::{Error, Result};
 
 pub(super) fn sample(scene: &Scene, seed: u64) -> Result<Setup> {
     let mut setup = Setup {
@@ -146,10 +148,15 @@ impl<'a> Body<'a> {
         Ok(mesh)
     }
 
-    fn particles(&self) -> Result<frames::ParticleData> {
+    /// The particles of a file; of a part of a sequence, what `of_start` takes of its walls and its first frame.
+    fn particles(&self, of_start: fn(Boundary, Frame) -> ParticleData) -> Result<ParticleData> {
         let particles = match &self.path {
+            Some(path) if sequence::is_part(path) => {
+                let (walls, frame) = sequence::read_start(path)?;
+                of_start(walls, frame)
+            }
             Some(path) => frames::read(path)?,
-            None => frames::ParticleData::default(),
+            None => ParticleData::default(),
         };
         if particles.position.is_empty() {
             return Err(self.error("no particles, expected at least one"));
@@ -160,7 +167,11 @@ impl<'a> Body<'a> {
     /// Positions, scaled and rotated, and velocities, rotated.
     #[allow(clippy::type_complexity, reason = "two columns of a file")]
     fn fluid_particles(&self) -> Result<(Vec<[f32; 3]>, Option<Vec<[f32; 3]>>)> {
-        let particles = self.particles()?;
+        let particles = self.particles(|_, frame| ParticleData {
+            position: frame.position,
+            velocity: Some(frame.velocity),
+            ..ParticleData::default()
+        })?;
         let rotate = self.placement.rotate();
         let rotate = |v: [f32; 3]| rotate(v.map(f64::from)).map(|x| x as f32);
         let velocity = particles.velocity.map(|velocity| velocity.into_iter().map(rotate).collect());
@@ -169,7 +180,11 @@ impl<'a> Body<'a> {
 
     /// Wall particles; files of the published script have the normals as velocities.
     fn wall_particles(&self, invert: bool) -> Result<Boundary> {
-        let particles = self.particles()?;
+        let particles = self.particles(|walls, _| ParticleData {
+            position: walls.position,
+            normal: Some(walls.normal),
+            ..ParticleData::default()
+        })?;
         let Some(normals) = particles.normal.or(particles.velocity) else {
             return Err(self.error("no normals, expected one for each wall particle"));
         };
