@@ -4,13 +4,15 @@
 //! DIR/manifest.json                     what was asked for, and the records of all scenes that are done
 //! DIR/train/sim_0001.json               the record of a scene
 //! DIR/train/sim_0001_00.msgpack.zst     its parts
-//! DIR/train/sim_0001.state.npz          only while it is simulated: where to go on
+//! DIR/train/sim_0001.state.npz          only while it is simulated: where to go on,
+//! DIR/train/sim_0001.frames/            and the frames of the part that is not whole
 //! DIR/valid/...
 //! ```
 //!
 //! A scene depends on the seed of the set and its own number alone: not on threads, on the shard that makes it, or on
 //! how often the command was stopped.
 
+mod files;
 mod manifest;
 mod plan;
 mod scene;

@@ -1,5 +1,7 @@
 //! What is to be made: the settings of a data set and the scenes that follow from them.
 
+use std::ops::Range;
+
 use anyhow::{Result, bail};
 use fluvia_sim::frames::sequence::FRAMES_PER_PART;
 use fluvia_sim::scene::random::{MATERIAL_TEST_VISCOSITIES, Recipe, Speed};
@@ -173,9 +175,16 @@ impl Plan {
         self.settings.frames - 1
     }
 
-    /// Frames of a part.
-    pub fn part_frames(&self) -> u64 {
-        FRAMES_PER_PART as u64
+    /// The parts that are whole when so many frames of a scene are there: the last part may have fewer frames.
+    pub fn whole_parts(&self, frames: u64) -> u64 {
+        let length = FRAMES_PER_PART as u64;
+        if frames == self.settings.frames { frames.div_ceil(length) } else { frames / length }
+    }
+
+    /// The frames that belong to no whole part when so many are there.
+    pub fn open_frames(&self, frames: u64) -> Range<u64> {
+        let kept = self.whole_parts(frames) * FRAMES_PER_PART as u64;
+        kept.min(frames)..frames
     }
 
     /// What a scene is drawn from, and the seed to draw it with. Attempts after the first are for scenes that blew up.

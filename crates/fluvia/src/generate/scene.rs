@@ -1,13 +1,13 @@
 //! One scene of a data set: drawn, simulated, written part by part, and recorded.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context, Result, bail};
 use cconv::Kernel;
-use fluvia_sim::frames::sequence::{self, Frame, Part, part_file_name, stored_mass, write_part};
-use fluvia_sim::frames::{self, State};
+use fluvia_sim::frames::sequence::{Frame, Part, stored_mass, write_part};
+use fluvia_sim::frames::{self, Format, State};
 use fluvia_sim::kernel::{CubicSpline, SUPPORT_IN_RADII, wall_volumes};
 use fluvia_sim::metrics;
 use fluvia_sim::rollout::Rollout;
@@ -17,6 +17,7 @@ use fluvia_sim::{Error, dfsph::Liquid};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
+use super::files::Files;
 use super::plan::{Plan, Task};
 use super::{Progress, folder};
 use crate::record::decimal;
@@ -115,6 +116,7 @@ pub fn make(
     if files.record().exists() {
         let record: Record = frames::read_json(&files.record())?;
         if files.part_lengths(record.parts.len() as u64) == record.parts {
+            files.remove_temporary()?;
             progress.skip(plan.steps());
             progress.scene(&format!("{}: is there", task.name));
             return Ok(Outcome::Done);
@@ -160,64 +162,6 @@ pub fn make(
     }
 }
 
-/// Where the files of a scene are.
-struct Files {
-    folder: PathBuf,
-    name: String,
-}
-
-impl Files {
-    fn record(&self) -> PathBuf {
-        self.folder.join(format!("{}.json", self.name))
-    }
-
-    /// Where to go on; only while the scene is made.
-    fn state(&self) -> PathBuf {
-        self.folder.join(format!("{}.state.npz", self.name))
-    }
-
-    /// The scenes that blew up; only while the scene is made.
-    fn attempts(&self) -> PathBuf {
-        self.folder.join(format!("{}.replaced.json", self.name))
-    }
-
-    fn replaced(&self) -> Result<Vec<Replaced>> {
-        let path = self.attempts();
-        Ok(if path.exists() { frames::read_json(&path)? } else { Vec::new() })
-    }
-
-    fn remove(path: &Path) -> Result<()> {
-        match std::fs::remove_file(path) {
-            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-                Err(error).with_context(|| path.display().to_string())
-            }
-            _ => Ok(()),
-        }
-    }
-
-    fn remove_temporary(&self) -> Result<()> {
-        Files::remove(&self.state())?;
-        Files::remove(&self.attempts())
-    }
-
-    /// The lengths of the first `count` parts, bytes; 0 for one that is not there.
-    fn part_lengths(&self, count: u64) -> Vec<u64> {
-        let length = |number| std::fs::metadata(self.part(number)).map_or(0, |data| data.len());
-        (0..count).map(length).collect()
-    }
-
-    fn part(&self, number: u64) -> PathBuf {
-        self.folder.join(part_file_name(&self.name, number))
-    }
-
-    /// Removes what is left of a scene that blew up.
-    fn remove_parts(&self) -> Result<()> {
-        Files::remove(&self.state())?;
-        let found = sequence::find(&self.folder.join(&self.name))?;
-        found.iter().flat_map(|files| &files.parts).try_for_each(|path| Files::remove(path))
-    }
-}
-
 /// How the simulation of a scene ended.
 enum End {
     Whole,
@@ -240,7 +184,7 @@ struct Run<'a> {
 }
 
 impl<'a> Run<'a> {
-    /// A run from its beginning, or from the last part on disk.
+    /// A run from its beginning, or from the last frame on disk.
     fn new(
         plan: &Plan,
         files: &'a Files,
@@ -251,13 +195,14 @@ impl<'a> Run<'a> {
         let kernel = CubicSpline::new(SUPPORT_IN_RADII * setup.particle_radius);
         let path = files.state();
         let old = path.exists().then(|| State::load(&path)).transpose()?;
-        // Of this attempt, and with the parts that it goes on from.
+        // Of this attempt, and with the parts and frames that it goes on from.
         let old = old.filter(|state| {
-            let parts = (state.step + 1).div_ceil(plan.part_frames());
+            let parts = plan.whole_parts(state.step + 1);
             let lengths =
                 (0..parts).map(|number| state.counters.get(&part_counter(number)).map(|&n| n as u64));
             state.counters.get(SEED) == Some(&(seed as f64))
                 && lengths.eq(files.part_lengths(parts).into_iter().map(Some))
+                && plan.open_frames(state.step + 1).all(|number| files.frame(number).exists())
         });
         let (rollout, statistics) = match old {
             None => (Rollout::new(setup)?, Statistics::default()),
@@ -271,8 +216,17 @@ impl<'a> Run<'a> {
         let wall_volumes = wall_volumes(&setup.boundary.position, &kernel);
         let mut run = Run { files, drawn, setup, seed, wall_volumes, rollout, statistics, part };
         if run.rollout.state().step == 0 {
+            files.remove_frames()?;
             run.observe();
             run.keep(plan)?;
+        } else {
+            for number in plan.open_frames(run.rollout.state().step + 1) {
+                let path = files.frame(number);
+                let frame = frames::read(&path)?;
+                let velocity =
+                    frame.velocity.with_context(|| format!("{}: no velocities", path.display()))?;
+                run.part.frames.push(run.frame(number, frame.position, velocity));
+            }
         }
         Ok(run)
     }
@@ -313,43 +267,56 @@ impl<'a> Run<'a> {
         // Over the frames so far.
         *mean_compression += (compression - *mean_compression) / (state.step + 1) as f64;
         *worst_compression = worst_compression.max(compression);
-        self.statistics.highest_speed = decimal(state.summary.highest_speed);
-        self.statistics.unconverged = state.summary.unconverged;
     }
 
-    /// Adds the frame to its part; writes the part, and then the state, when it is whole.
+    /// Adds the frame to its part, and writes the part when it is whole; until then its frames lie on disk by themselves.
+    /// Then writes the state.
     fn keep(&mut self, plan: &Plan) -> Result<()> {
         let state = self.rollout.state();
         let particles = &state.particles;
-        let liquids: Vec<Liquid> = self.setup.emitters.iter().map(|e| liquid(e.material)).collect();
-        let mass = |liquid: &Liquid| stored_mass(liquid.density, self.setup.particle_radius);
-        let of_bodies = || particles.body.iter().map(|&body| &liquids[body as usize]);
-        self.part.frames.push(Frame {
-            number: state.step,
-            position: particles.position.clone(),
-            velocity: particles.velocity.clone(),
-            mass: of_bodies().map(mass).collect(),
-            viscosity: of_bodies().map(|liquid| liquid.viscosity).collect(),
-        });
-        let frames = state.step + 1;
-        let whole = frames.is_multiple_of(plan.part_frames()) || frames == plan.settings.frames;
+        let frame = self.frame(state.step, particles.position.clone(), particles.velocity.clone());
+        self.part.frames.push(frame);
+        let parts = plan.whole_parts(state.step + 1);
+        let whole = plan.open_frames(state.step + 1).is_empty();
         if whole {
-            let number = state.step / plan.part_frames();
-            write_part(&self.files.part(number), &self.part)?;
+            write_part(&self.files.part(parts - 1), &self.part)?;
+        } else {
+            let folder = self.files.frames();
+            std::fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
+            frames::write_fluid(&self.files.frame(state.step), Format::Npz, particles)?;
+        }
+        let mut state = to_disk(state);
+        add_statistics(&self.statistics, &mut state.counters);
+        state.counters.insert(SEED.to_owned(), self.seed as f64);
+        for (number, length) in self.files.part_lengths(parts).into_iter().enumerate() {
+            state.counters.insert(part_counter(number as u64), length as f64);
+        }
+        state.save(&self.files.state())?;
+        if whole {
             self.part.frames.clear();
-            let mut state = to_disk(state);
-            add_statistics(&self.statistics, &mut state.counters);
-            state.counters.insert(SEED.to_owned(), self.seed as f64);
-            for (number, length) in self.files.part_lengths(number + 1).into_iter().enumerate() {
-                state.counters.insert(part_counter(number as u64), length as f64);
-            }
-            state.save(&self.files.state())?;
+            self.files.remove_frames()?;
         }
         Ok(())
     }
 
+    /// A frame of a part.
+    fn frame(&self, number: u64, position: Vec<[f32; 3]>, velocity: Vec<[f32; 3]>) -> Frame {
+        let liquids: Vec<Liquid> = self.setup.emitters.iter().map(|e| liquid(e.material)).collect();
+        let mass = |liquid: &Liquid| stored_mass(liquid.density, self.setup.particle_radius);
+        let bodies = &self.rollout.state().particles.body;
+        let of_bodies = || bodies.iter().map(|&body| &liquids[body as usize]);
+        Frame {
+            number,
+            position,
+            velocity,
+            mass: of_bodies().map(mass).collect(),
+            viscosity: of_bodies().map(|liquid| liquid.viscosity).collect(),
+        }
+    }
+
     fn record(&self, task: &Task, plan: &Plan, replaced: Vec<Replaced>) -> Result<Record> {
         let random::Retries { columns, bodies, scenes } = self.drawn.retries;
+        let summary = &self.rollout.state().summary;
         Ok(Record {
             name: task.name.clone(),
             split: task.split.folder().to_owned(),
@@ -358,9 +325,13 @@ impl<'a> Run<'a> {
             wall_particles: self.setup.boundary.position.len(),
             frames: self.rollout.state().step + 1,
             retries: [columns, bodies, scenes],
-            parts: self.files.part_lengths(plan.settings.frames.div_ceil(plan.part_frames())),
+            parts: self.files.part_lengths(plan.whole_parts(plan.settings.frames)),
             replaced,
-            statistics: self.statistics,
+            statistics: Statistics {
+                highest_speed: decimal(summary.highest_speed),
+                unconverged: summary.unconverged,
+                ..self.statistics
+            },
             scene: serde_json::from_str(&self.drawn.scene.to_json()?)?,
         })
     }
@@ -383,7 +354,7 @@ fn add_statistics(statistics: &Statistics, counters: &mut BTreeMap<String, f64>)
     counters.insert(WORST_COMPRESSION.to_owned(), statistics.worst_compression);
 }
 
-/// The rest follows from the summary with the next frame.
+/// The rest is in the summary of the rollout.
 fn statistics_of(counters: &BTreeMap<String, f64>) -> Statistics {
     let counter = |name: &str| counters.get(name).copied().unwrap_or_default();
     Statistics {

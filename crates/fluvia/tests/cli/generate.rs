@@ -124,13 +124,38 @@ fn a_killed_command_goes_on_to_the_same_files() {
         child.wait().unwrap();
     }
     assert!(make(&folder, "killed", "") == whole);
-    // What is whole is left as it is; a scene that has lost a part is made again.
+    // What is whole is left as it is, but for what a command that was killed at its end has not removed.
+    folder.write("killed/train/sim_0001.state.npz", "left");
+    std::fs::create_dir(folder.path("killed/train/sim_0001.frames")).unwrap();
     assert!(make(&folder, "killed", "") == whole);
-    // As is one with a part that is cut short. What another process has left of a write is removed.
+    assert!(!folder.path("killed/train/sim_0001.frames").exists());
+    // A scene that has lost a part is made again, as is one with a part that is cut short. What another process has left
+    // of a write is removed.
     std::fs::remove_file(folder.path("killed/train/sim_0002_00.msgpack.zst")).unwrap();
     folder.write("killed/train/sim_0001_01.msgpack.zst", &whole["train/sim_0001_01.msgpack.zst"][..100]);
     folder.write("killed/train/.sim_0001_00.msgpack.zst.4242.tmp", "half");
     assert!(make(&folder, "killed", "") == whole);
+}
+
+#[test]
+fn a_killed_command_loses_no_frame() {
+    let folder = Folder::new();
+    let mut first = None;
+    for last in [3, 9, 15] {
+        let mut command = folder.command(&format!("{SMALL} --out killed --jobs 1 --threads 1 --quiet"));
+        let mut child = command.spawn().unwrap();
+        let frames = folder.path("killed/train/sim_0001.frames");
+        let start = std::time::Instant::now();
+        while !frames.join(format!("{last:04}.npz")).exists() {
+            assert!(start.elapsed() < Duration::from_secs(60), "no frame {last} after a minute");
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        child.kill().unwrap();
+        child.wait().unwrap();
+        // Made once and never again.
+        let made = std::fs::metadata(frames.join("0000.npz")).and_then(|data| data.modified()).unwrap();
+        assert_eq!(*first.get_or_insert(made), made, "frame {last}");
+    }
 }
 
 #[test]
