@@ -12,8 +12,7 @@ use serde_json::{Map, Value, json};
 
 use crate::frame_source::recorded_scene;
 use crate::generate::MANIFEST;
-use crate::inspect::bounds;
-use crate::record::decimal;
+use crate::record::{bounds, decimal};
 use crate::report::Report;
 
 /// Lists of more than this many entries are shown as their number.

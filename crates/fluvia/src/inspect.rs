@@ -7,14 +7,14 @@ use anyhow::{Context, Result, bail};
 use fluvia_net::weights::{self, Summary as WeightSummary};
 use fluvia_sim::frames::{self, Format, ParticleData, run, sequence};
 use fluvia_sim::mesh::TriangleMesh;
-use fluvia_sim::metrics::{self, Bounds};
+use fluvia_sim::metrics;
 use fluvia_sim::scene::{DEFAULT_DT, Placement};
 use serde_json::{Value, json};
 
 use crate::data_set;
 use crate::frame_source::NO_FRAMES;
 use crate::options::positive;
-use crate::record::{self, decimal};
+use crate::record::{self, bounds, decimal};
 use crate::report::Report;
 
 /// Options of `fluvia inspect`.
@@ -230,11 +230,6 @@ fn directory(path: &Path, dt: f32, report: &Report) -> Result<Value> {
         "last_frame": particle_file(&run::read_frame(path, last.index)?),
         "run": record,
     }))
-}
-
-/// The lowest and the highest coordinates, metres.
-pub fn bounds(points: &[[f32; 3]]) -> Option<[[f64; 3]; 2]> {
-    Bounds::of(points).map(|bounds| [bounds.low.map(decimal), bounds.high.map(decimal)])
 }
 
 /// Indented lines for a value: objects key by key, tables row by row.

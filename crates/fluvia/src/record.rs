@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use anyhow::{Context, Result};
+use fluvia_sim::metrics::Bounds;
 use fluvia_sim::rollout;
 use fluvia_sim::scene::{self, Scene, Setup};
 use serde::{Deserialize, Serialize};
@@ -164,6 +165,11 @@ pub fn load_scene(name: &str) -> Result<(Scene, Source)> {
 /// The shortest decimal number that is this float32, for JSON values, which hold float64.
 pub fn decimal(x: f32) -> f64 {
     x.to_string().parse().unwrap_or(f64::from(x))
+}
+
+/// The lowest and the highest coordinates, metres.
+pub fn bounds(points: &[[f32; 3]]) -> Option<[[f64; 3]; 2]> {
+    Bounds::of(points).map(|bounds| [bounds.low.map(decimal), bounds.high.map(decimal)])
 }
 
 /// The hash of some bytes as hexadecimal digits.

@@ -3,10 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
-use fluvia_sim::frames;
 use fluvia_sim::frames::sequence::{self, part_file_name};
-
-use super::scene::Replaced;
 
 /// Where the files of a scene are.
 pub struct Files {
@@ -41,11 +38,6 @@ impl Files {
     /// The scenes that blew up; only while the scene is made.
     pub fn attempts(&self) -> PathBuf {
         self.folder.join(format!("{}.replaced.json", self.name))
-    }
-
-    pub fn replaced(&self) -> Result<Vec<Replaced>> {
-        let path = self.attempts();
-        Ok(if path.exists() { frames::read_json(&path)? } else { Vec::new() })
     }
 
     fn remove(path: &Path) -> Result<()> {

@@ -124,7 +124,9 @@ pub fn make(
         progress.warning(&format!("{}: its parts are not those of its record; it is made again", task.name));
         files.remove_parts()?;
     }
-    let mut replaced = files.replaced()?;
+    let attempts = files.attempts();
+    let mut replaced: Vec<Replaced> =
+        if attempts.exists() { frames::read_json(&attempts)? } else { Vec::new() };
     loop {
         let attempt = replaced.len() as u32;
         if attempt > MOST_ATTEMPTS {
@@ -155,7 +157,7 @@ pub fn make(
                     .warning(&format!("{} (seed {seed}) is replaced: {text} in frame {frame}", task.name));
                 progress.take_back(frame - 1);
                 replaced.push(Replaced { seed, frame, reason });
-                frames::write_json(&files.attempts(), &replaced)?;
+                frames::write_json(&attempts, &replaced)?;
                 files.remove_parts()?;
             }
         }
