@@ -106,15 +106,16 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
     if a.source.gravity != b.source.gravity {
         report.warning(format_args!("{} and {} have different gravity", a.label, b.label));
     }
-    let comparison =
-        thread_pool(args.threads)?.install(|| compare(&mut a, &mut b, control.as_mut(), frame, report))?;
-    let [in_a, in_b] = comparison.runs.each_ref().map(|run| run.particles[0]);
+    let [in_a, in_b] = [&mut a, &mut b].map(|run| run.source.read(frame[0]).map(|data| data.position.len()));
+    let (in_a, in_b) = (in_a?, in_b?);
     if in_a != in_b {
-        let (first, a, b) = (comparison.frame[0], &a.label, &b.label);
+        let (first, a, b) = (frame[0], &a.label, &b.label);
         report.warning(format_args!(
             "{a} has {in_a} particles in frame {first}, {b} {in_b}: not the same scene?"
         ));
     }
+    let comparison =
+        thread_pool(args.threads)?.install(|| compare(&mut a, &mut b, control.as_mut(), frame, report))?;
     if let Some(out) = &args.out {
         write(out, &comparison)?;
     }

@@ -128,15 +128,17 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
         bail!("no scenes to make: --scenes {} --valid {}", plan.settings.scenes, plan.settings.valid);
     }
     try_first(&plan, &tasks[0], report)?;
-    manifest::begin(&args.out, &plan.settings)?;
+    manifest::begin(&args.out, &plan.settings, args.shard.is_some())?;
     let interrupted = Arc::new(AtomicBool::new(false));
     let flag = Arc::clone(&interrupted);
     ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("cannot watch for Ctrl-C")?;
 
     let progress = Progress::new(&plan, &tasks, report);
-    let finished = simulate(args, &plan, &tasks, &interrupted, &progress)?;
+    let finished = simulate(args, &plan, &tasks, &interrupted, &progress);
     progress.bar.finish_and_clear();
-    let manifest = manifest::write(&args.out, &plan)?;
+    let manifest = manifest::write(&args.out, &plan);
+    // A disk that is full would say so twice.
+    let (finished, manifest) = (finished?, manifest?);
     if args.json {
         report.result(serde_json::to_string(&manifest.without_scenes())?)?;
     } else if !report.is_quiet() {

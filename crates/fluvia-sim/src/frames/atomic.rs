@@ -7,6 +7,7 @@
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
+use std::time::{SystemTime, UNIX_EPOCH};
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -68,7 +69,7 @@ pub fn remove_temporaries(folder: &Path, name: &str) -> Result<()> {
     Ok(())
 }
 
-/// How temporary names end: `.NAME.PROCESS.tmp`, which no glob for the file's extension finds.
+/// How temporary names end: `.NAME.NUMBER.tmp`, which no glob for the file's extension finds.
 const TEMPORARY: &str = ".tmp";
 
 fn write_to(path: &Path, content: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<()> {
@@ -100,7 +101,9 @@ fn temporary_name(path: &Path) -> io::Result<PathBuf> {
     };
     let mut temporary = std::ffi::OsString::from(".");
     temporary.push(name);
-    temporary.push(format!(".{}{TEMPORARY}", std::process::id()));
+    // Processes in two containers that share a disk may have the same number.
+    let moment = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |time| time.subsec_nanos());
+    temporary.push(format!(".{}{moment:09}{TEMPORARY}", std::process::id()));
     Ok(path.with_file_name(temporary))
 }
 

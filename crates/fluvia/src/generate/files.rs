@@ -44,7 +44,8 @@ impl Files {
         removed(path, std::fs::remove_file(path))
     }
 
-    pub fn remove_temporary(&self) -> Result<()> {
+    /// Removes what is there only while the scene is made.
+    pub fn remove_progress(&self) -> Result<()> {
         Files::remove(&self.state())?;
         self.remove_frames()?;
         Files::remove(&self.attempts())
@@ -60,8 +61,10 @@ impl Files {
         self.folder.join(part_file_name(&self.name, number))
     }
 
-    /// Removes what is left of a scene that blew up.
-    pub fn remove_parts(&self) -> Result<()> {
+    /// Removes all but the scenes that blew up: what follows begins anew. The record goes first, so that a scene without
+    /// parts never counts as done.
+    pub fn clear(&self) -> Result<()> {
+        Files::remove(&self.record())?;
         Files::remove(&self.state())?;
         self.remove_frames()?;
         let found = sequence::find(&self.folder.join(&self.name))?;

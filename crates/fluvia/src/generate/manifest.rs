@@ -32,11 +32,12 @@ pub struct Manifest {
     pub records: Vec<Record>,
 }
 
-/// Makes the directories, and sure that what is there is of the same set.
+/// Makes the directories, and sure that what is there is of the same set. Where this is no `shard`, what a killed command
+/// has left of a manifest is removed: no other can be writing it.
 ///
 /// # Errors
 /// If the directory holds another data set, or something else.
-pub fn begin(out: &Path, settings: &Settings) -> Result<()> {
+pub fn begin(out: &Path, settings: &Settings, shard: bool) -> Result<()> {
     let path = out.join(FILE);
     if path.exists() {
         let old: Manifest = frames::read_json(&path)?;
@@ -51,6 +52,9 @@ pub fn begin(out: &Path, settings: &Settings) -> Result<()> {
             Manifest { settings: settings.clone(), complete: false, replaced: 0, records: Vec::new() };
         make_folder(out)?;
         frames::write_json(&path, &manifest)?;
+    }
+    if !shard {
+        frames::remove_temporaries(out, FILE)?;
     }
     FOLDERS.iter().try_for_each(|name| make_folder(&out.join(name)))
 }

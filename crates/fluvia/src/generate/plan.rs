@@ -221,6 +221,32 @@ mod tests {
     use super::*;
 
     #[test]
+    fn a_part_is_whole_with_fifty_frames_or_the_last() {
+        let plan = |frames: u64| {
+            let arguments =
+                ["--preset", "default", "--out", "out", "--duration", &(0.02 * frames as f64).to_string()];
+            let args = <Line as clap::Parser>::parse_from(std::iter::once("fluvia").chain(arguments));
+            Plan::new(&args.args).unwrap()
+        };
+        let (short, long) = (plan(55), plan(100));
+        assert_eq!((short.settings.frames, long.settings.frames), (55, 100));
+        for (frames, whole) in [(1, 0), (49, 0), (50, 1), (51, 1), (54, 1), (55, 2)] {
+            assert_eq!(short.whole_parts(frames), whole, "{frames}");
+        }
+        for (frames, open) in [(1, 0..1), (49, 0..49), (50, 50..50), (54, 50..54), (55, 55..55)] {
+            assert_eq!(short.open_frames(frames), open, "{frames}");
+        }
+        assert_eq!((long.whole_parts(99), long.whole_parts(100)), (1, 2));
+        assert_eq!((long.open_frames(99), long.open_frames(100)), (50..99, 100..100));
+    }
+
+    #[derive(clap::Parser)]
+    struct Line {
+        #[command(flatten)]
+        args: Args,
+    }
+
+    #[test]
     fn seeds_of_scenes_differ() {
         let mut seeds: Vec<u64> = (0..3)
             .flat_map(|seed| (0..50).flat_map(move |n| (0..3).map(move |k| scene_seed(seed, n, k))))

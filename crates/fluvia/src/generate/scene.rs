@@ -116,13 +116,13 @@ pub fn make(
     if files.record().exists() {
         let record: Record = frames::read_json(&files.record())?;
         if files.part_lengths(record.parts.len() as u64) == record.parts {
-            files.remove_temporary()?;
+            files.remove_progress()?;
             progress.skip(plan.steps());
             progress.scene(&format!("{}: is there", task.name));
             return Ok(Outcome::Done);
         }
         progress.warning(&format!("{}: its parts are not those of its record; it is made again", task.name));
-        files.remove_parts()?;
+        files.clear()?;
     }
     let attempts = files.attempts();
     let mut replaced: Vec<Replaced> =
@@ -140,14 +140,14 @@ pub fn make(
         let (recipe, seed) = plan.draw(task, attempt);
         let drawn = random::random_scene(&recipe, seed).with_context(|| task.name.clone())?;
         let setup = drawn.scene.sample(seed)?;
-        let mut run = Run::new(plan, &files, &drawn, &setup, seed)?;
+        let mut run = Run::new(plan, &files, &drawn, &setup, seed, progress)?;
         progress.skip(run.rollout.state().step);
         match run.simulate(plan, interrupted, progress)? {
             End::Interrupted => return Ok(Outcome::Interrupted),
             End::Whole => {
                 let record = run.record(task, plan, replaced)?;
                 frames::write_json(&files.record(), &record)?;
-                files.remove_temporary()?;
+                files.remove_progress()?;
                 progress.scene(&format!("{}: {} particles", task.name, record.particles));
                 return Ok(Outcome::Done);
             }
@@ -158,7 +158,7 @@ pub fn make(
                 progress.take_back(frame - 1);
                 replaced.push(Replaced { seed, frame, reason });
                 frames::write_json(&attempts, &replaced)?;
-                files.remove_parts()?;
+                files.clear()?;
             }
         }
     }
@@ -170,6 +170,44 @@ enum End {
     Interrupted,
     /// In a frame.
     BlewUp(u64, Reason),
+}
+
+/// What an earlier command has left of an attempt.
+struct Left {
+    rollout: Rollout,
+    statistics: Statistics,
+    /// Positions and velocities of the frames of the part that is not whole.
+    open: Vec<[Vec<[f32; 3]>; 2]>,
+}
+
+/// Reads what is left of the attempt with this seed.
+///
+/// # Errors
+/// If it cannot be gone on with.
+fn read_left(plan: &Plan, files: &Files, setup: &Setup, seed: u64) -> Result<Option<Left>> {
+    let path = files.state();
+    if !path.exists() {
+        return Ok(None);
+    }
+    let state = State::load(&path)?;
+    let parts = plan.whole_parts(state.step + 1);
+    let lengths = (0..parts).map(|number| state.counters.get(&part_counter(number)).map(|&n| n as u64));
+    if state.counters.get(SEED) != Some(&(seed as f64)) {
+        bail!("{}: of another attempt", path.display());
+    }
+    if !lengths.eq(files.part_lengths(parts).into_iter().map(Some)) {
+        bail!("{}: not with the parts that are there", path.display());
+    }
+    let read = |number| -> Result<[Vec<[f32; 3]>; 2]> {
+        let path = files.frame(number);
+        let frame = frames::read(&path)?;
+        let velocity = frame.velocity.filter(|_| frame.position.len() == state.particles.len());
+        Ok([frame.position, velocity.with_context(|| format!("{}: another frame", path.display()))?])
+    };
+    let open = plan.open_frames(state.step + 1).map(read).collect::<Result<_>>()?;
+    let statistics = statistics_of(&state.counters);
+    let rollout = Rollout::resume(setup, from_disk(state)).with_context(|| path.display().to_string())?;
+    Ok(Some(Left { rollout, statistics, open }))
 }
 
 /// A scene that is simulated.
@@ -186,49 +224,41 @@ struct Run<'a> {
 }
 
 impl<'a> Run<'a> {
-    /// A run from its beginning, or from the last frame on disk.
+    /// A run from the last frame on disk, or from its beginning.
     fn new(
         plan: &Plan,
         files: &'a Files,
         drawn: &'a RandomScene,
         setup: &'a Setup,
         seed: u64,
+        progress: &Progress<'_>,
     ) -> Result<Run<'a>> {
-        let kernel = CubicSpline::new(SUPPORT_IN_RADII * setup.particle_radius);
-        let path = files.state();
-        let old = path.exists().then(|| State::load(&path)).transpose()?;
-        // Of this attempt, and with the parts and frames that it goes on from.
-        let old = old.filter(|state| {
-            let parts = plan.whole_parts(state.step + 1);
-            let lengths =
-                (0..parts).map(|number| state.counters.get(&part_counter(number)).map(|&n| n as u64));
-            state.counters.get(SEED) == Some(&(seed as f64))
-                && lengths.eq(files.part_lengths(parts).into_iter().map(Some))
-                && plan.open_frames(state.step + 1).all(|number| files.frame(number).exists())
+        let left = read_left(plan, files, setup, seed).unwrap_or_else(|error| {
+            progress.warning(&format!(
+                "{}: begins again, for what is left of it is damaged: {error:#}",
+                files.name
+            ));
+            None
         });
-        let (rollout, statistics) = match old {
-            None => (Rollout::new(setup)?, Statistics::default()),
-            Some(state) => {
-                let statistics = statistics_of(&state.counters);
-                let rollout = Rollout::resume(setup, from_disk(state));
-                (rollout.with_context(|| path.display().to_string())?, statistics)
+        let Left { rollout, statistics, open } = match left {
+            Some(left) => left,
+            None => {
+                files.clear()?;
+                Left { rollout: Rollout::new(setup)?, statistics: Statistics::default(), open: Vec::new() }
             }
         };
         let part = Part { scene: files.name.clone(), walls: setup.boundary.clone(), frames: Vec::new() };
+        let kernel = CubicSpline::new(SUPPORT_IN_RADII * setup.particle_radius);
         let wall_volumes = wall_volumes(&setup.boundary.position, &kernel);
         let mut run = Run { files, drawn, setup, seed, wall_volumes, rollout, statistics, part };
         if run.rollout.state().step == 0 {
-            files.remove_frames()?;
             run.observe();
             run.keep(plan)?;
         } else {
-            for number in plan.open_frames(run.rollout.state().step + 1) {
-                let path = files.frame(number);
-                let frame = frames::read(&path)?;
-                let velocity =
-                    frame.velocity.with_context(|| format!("{}: no velocities", path.display()))?;
-                run.part.frames.push(run.frame(number, frame.position, velocity));
-            }
+            let numbers = plan.open_frames(run.rollout.state().step + 1);
+            let frames =
+                numbers.zip(open).map(|(number, [position, velocity])| run.frame(number, position, velocity));
+            run.part.frames = frames.collect();
         }
         Ok(run)
     }

@@ -80,6 +80,19 @@ fn frames_without_particles_are_gaps() {
 }
 
 #[test]
+fn runs_of_different_scenes_are_compared_with_a_warning() {
+    let folder = runs();
+    folder.succeed("simulate dam_break --solver pbf --steps 1 --out other");
+    let run = folder.succeed("compare dfsph other");
+    assert!(
+        run.stderr.contains("warning: dfsph has ") && run.stderr.contains("not the same scene?"),
+        "{}",
+        run.stderr
+    );
+    assert_eq!(folder.succeed("compare dfsph pbf").stderr, "");
+}
+
+#[test]
 fn what_cannot_be_compared() {
     let folder = runs();
     folder.write("slow.json", scene_with(r#""dt": 0.01"#));

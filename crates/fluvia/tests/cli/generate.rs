@@ -134,28 +134,71 @@ fn a_killed_command_goes_on_to_the_same_files() {
     std::fs::remove_file(folder.path("killed/train/sim_0002_00.msgpack.zst")).unwrap();
     folder.write("killed/train/sim_0001_01.msgpack.zst", &whole["train/sim_0001_01.msgpack.zst"][..100]);
     folder.write("killed/train/.sim_0001_00.msgpack.zst.4242.tmp", "half");
+    folder.write("killed/.manifest.json.4242.tmp", "half");
+    // Killed while they are made again, too: then they count as not done.
+    let mut child =
+        folder.command(&format!("{SMALL} --out killed --quiet")).stderr(Stdio::null()).spawn().unwrap();
+    std::thread::sleep(Duration::from_millis(250));
+    child.kill().unwrap();
+    child.wait().unwrap();
     assert!(make(&folder, "killed", "") == whole);
 }
 
 #[test]
 fn a_killed_command_loses_no_frame() {
     let folder = Folder::new();
-    let mut first = None;
+    let mut made = BTreeMap::new();
     for last in [3, 9, 15] {
         let mut command = folder.command(&format!("{SMALL} --out killed --jobs 1 --threads 1 --quiet"));
         let mut child = command.spawn().unwrap();
-        let frames = folder.path("killed/train/sim_0001.frames");
+        let frame = |k: u64| folder.path(&format!("killed/train/sim_0001.frames/{k:04}.npz"));
         let start = std::time::Instant::now();
-        while !frames.join(format!("{last:04}.npz")).exists() {
-            assert!(start.elapsed() < Duration::from_secs(60), "no frame {last} after a minute");
+        while !frame(last).exists() && start.elapsed() < Duration::from_secs(60) {
             std::thread::sleep(Duration::from_millis(1));
         }
         child.kill().unwrap();
         child.wait().unwrap();
-        // Made once and never again.
-        let made = std::fs::metadata(frames.join("0000.npz")).and_then(|data| data.modified()).unwrap();
-        assert_eq!(*first.get_or_insert(made), made, "frame {last}");
+        // Each but the last, whose state may not have been written, is made once and never again.
+        for k in 0..last {
+            let time = std::fs::metadata(frame(k)).and_then(|data| data.modified()).unwrap();
+            assert_eq!(*made.entry(k).or_insert(time), time, "frame {k}, killed after {last}");
+        }
     }
+    // What is damaged is not gone on with.
+    let whole = make(&folder, "whole", "");
+    folder.write("killed/train/sim_0001.frames/0007.npz", "PK");
+    let run = folder.succeed(&format!("{SMALL} --out killed"));
+    assert!(
+        run.stderr.contains("warning: sim_0001: begins again") && run.stderr.contains("0007.npz"),
+        "{}",
+        run.stderr
+    );
+    assert!(tree(&folder.path("killed")) == whole);
+}
+
+#[test]
+fn a_scene_that_blew_up_is_replaced() {
+    let folder = Folder::new();
+    let whole = make(&folder, "whole", "");
+    std::fs::create_dir_all(folder.path("set/train")).unwrap();
+    folder.write("set/train/sim_0002.replaced.json", r#"[{ "seed": 7, "frame": 3, "reason": "outside" }]"#);
+    let run = folder.succeed(&format!("{SMALL} --out set"));
+    assert!(run.stdout.contains("left the walls: 1"), "{}", run.stdout);
+    assert!(
+        run.stdout.contains("sim_0002 (seed 7): a particle outside the walls in frame 3"),
+        "{}",
+        run.stdout
+    );
+    let manifest = folder.json("set/manifest.json");
+    assert_eq!((&manifest["complete"], &manifest["replaced"]), (&true.into(), &1.into()));
+    let record = folder.json("set/train/sim_0002.json");
+    assert_eq!(record["replaced"][0]["reason"], "outside");
+    assert_ne!(record["seed"], folder.json("whole/train/sim_0002.json")["seed"]);
+    // Nothing else differs, and nothing is left over.
+    let set = tree(&folder.path("set"));
+    assert!(set.keys().eq(whole.keys()), "{:?}", set.keys());
+    assert!(set["train/sim_0001_00.msgpack.zst"] == whole["train/sim_0001_00.msgpack.zst"]);
+    assert!(set["train/sim_0002_00.msgpack.zst"] != whole["train/sim_0002_00.msgpack.zst"]);
 }
 
 #[test]
