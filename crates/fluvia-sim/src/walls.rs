@@ -25,6 +25,10 @@ const PIECE: f32 = 0.375;
 /// Two pieces are one plane if they lie this near to each other's, in reaches; the nearer then stands for both.
 const FLAT: f32 = 1e-3;
 
+/// A path is walked in pieces of this length, in support radii: a particle cannot be on the far side of a wall before the
+/// wall has seen it.
+const PATH_PIECE: f32 = 0.125;
+
 /// Pieces of path that one move is checked in at most, so that absurd speeds cost bounded time.
 const PATH_PIECES: f32 = 256.0;
 
@@ -44,6 +48,8 @@ pub struct Walls {
     reach: f32,
     /// How far a piece reaches along its plane, metres.
     piece: f32,
+    /// The length of the pieces that a path is walked in, metres.
+    path_piece: f32,
 }
 
 impl Walls {
@@ -58,6 +64,7 @@ impl Walls {
             clearance,
             reach: REACH * kernel.support(),
             piece: PIECE * kernel.support(),
+            path_piece: PATH_PIECE * kernel.support(),
         }
     }
 
@@ -66,12 +73,10 @@ impl Walls {
         self.grid.search(positions, radius, &Options::default(), neighbors);
     }
 
-    /// Moves a particle from `start` to `end`, but not through the wall particles `near` the way: the path is
-    /// walked in pieces no longer than the clearance, so that a particle cannot be on the far side of a wall
-    /// before the wall has seen it.
+    /// Moves a particle from `start` to `end`, but not through the wall particles `near` the way.
     pub fn travel(&self, start: Vector, end: Vector, near: &[u32]) -> Vector {
         let way = sub(end, start);
-        let pieces = (dot(way, way).sqrt() / self.clearance).ceil().clamp(1.0, PATH_PIECES);
+        let pieces = (dot(way, way).sqrt() / self.path_piece).ceil().clamp(1.0, PATH_PIECES);
         if near.is_empty() || pieces.is_nan() {
             return end;
         }

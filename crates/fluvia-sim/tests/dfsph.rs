@@ -7,6 +7,7 @@ use fluvia_sim::dfsph::{Dfsph, Liquid, Params};
 use fluvia_sim::metrics::{self, Bounds};
 use fluvia_sim::particles::{Acceleration, Boundary, Particles};
 use fluvia_sim::rollout::{Rollout, Solver};
+use fluvia_sim::scene::Scene;
 use fluvia_sim::substep::Substep;
 
 const NOWHERE: Acceleration<'_> = Acceleration::Uniform([0.0; 3]);
@@ -225,6 +226,28 @@ fn a_lone_particle_loses_the_speed_towards_a_wall() {
 }
 
 /// The kinetic energy per mass that is left of a shear after some time.
+/// A pool that stands a layer above a step: particles at the edge are pressed against two faces at once, and what keeps
+/// them out of the wall must not shoot them away.
+#[test]
+fn a_film_over_an_edge_comes_to_rest() {
+    let text = br#"{
+        "walls": [{ "shape": "step", "scale": [0.8, 1.2, 0.5] }],
+        "fluids": [{ "shape": "box", "scale": [0.35, 0.65, 0.45], "translation": [0.2, 0.35, 0] }]
+    }"#;
+    let setup = Scene::parse(text, "film.json").expect("a scene").sample(0).expect("a set-up");
+    let emitter = &setup.emitters[0];
+    let mut fluid = Particles::of_one_body(emitter.position.clone(), emitter.velocity.clone());
+    let mut solver = solver(fixed(0.001), &setup.boundary);
+    run(&mut solver, &mut fluid, 100);
+    let mut highest = 0.0f32;
+    for _ in 0..50 {
+        run(&mut solver, &mut fluid, 1);
+        highest = highest.max(metrics::highest_speed(&fluid.velocity));
+    }
+    println!("{} particles, at most {highest} m/s after 2 s", fluid.len());
+    assert!(highest < 1.0, "{highest} m/s");
+}
+
 fn shear_left(viscosity: f32) -> f64 {
     let position = block([0.0; 3], [8, 8, 8]);
     let mut fluid = particles(position.clone(), [0.0; 3]);

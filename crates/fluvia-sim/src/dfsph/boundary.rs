@@ -11,12 +11,13 @@ use super::pairs::weigh;
 use super::row::Row;
 use crate::kernel::CubicSpline;
 use crate::particles::Boundary;
-use crate::vector::{Vector, add_scaled, sub};
+use crate::vector::{Vector, add_scaled, dot, sub};
 use crate::walls::{MAX_REACH, Walls};
 
-/// How far from the walls the centres of particles are kept, particle radii. Pressure keeps them farther: the nearest
-/// in the reference data is at 0.71 radii, where this does nothing.
-const CLEARANCE: f32 = 0.5;
+/// How far in front of the walls the centres of particles are kept, particle radii. Pressure keeps them farther: the nearest
+/// in the reference data is at 0.71 radii. Little, so that a particle is never pushed farther than it came: at 0.5 what
+/// slides over an edge is moved by millimetres at once, and the pressure that follows shoots it away.
+const CLEARANCE: f32 = 0.05;
 
 /// A particle that moves farther than this part of the support radius in a step has the walls along its way looked for.
 const FAR: f32 = 0.25;
@@ -94,7 +95,10 @@ impl Boundaries {
             let end = walls.travel(*position, free, walls_near);
             if end != free {
                 let pushed = sub(end, free);
-                *velocity = *velocity + Row::from(pushed.map(|x| x / h));
+                let length = dot(pushed, pushed).sqrt();
+                let away = pushed.map(|x| x / length);
+                let towards = -dot(velocity.vector(), away);
+                velocity.add_scaled((length / h).min(towards).max(0.0), Row::from(away));
             }
             *position = end;
         });
