@@ -37,3 +37,13 @@ impl Error {
         Error::File { path: path.as_ref().to_path_buf(), message: message.into() }
     }
 }
+
+impl From<fluvia_sim::Error> for Error {
+    fn from(error: fluvia_sim::Error) -> Error {
+        match error {
+            fluvia_sim::Error::Io { path, source } => Error::Io { path, source },
+            fluvia_sim::Error::File { path, message } => Error::File { path, message },
+            other => Error::Parameter(other.to_string()),
+        }
+    }
+}

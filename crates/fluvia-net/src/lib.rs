@@ -3,12 +3,16 @@
 //! [`solver::NetSolver`] moves particles as any solver of `fluvia-sim` does. [`mod@reference`] is the same step in
 //! float64, the specification that it is tested against.
 
+pub mod adam;
 pub mod config;
+pub mod dataset;
 pub mod integrate;
+pub mod loss;
 pub mod net;
 pub mod reference;
 pub mod solver;
 pub mod step;
+pub mod train;
 pub mod unroll;
 pub mod weights;
 

@@ -26,6 +26,8 @@ pub struct Unroll {
     storage: Storage,
     /// The states before the first step and after each.
     states: Vec<State>,
+    /// The fluid neighbours of each particle at x*, step by step.
+    neighbors: Vec<Vec<u32>>,
     /// One for each step, or one for all.
     steps: Vec<Step>,
     memory: Memory,
@@ -56,6 +58,7 @@ impl Unroll {
         };
         self.steps.resize_with(kept, Step::default);
         self.states.resize_with(count + 1, State::default);
+        self.neighbors.clear();
         self.states[0].clone_from(start);
         for k in 0..count {
             let step = &mut self.steps[k.min(kept - 1)];
@@ -65,6 +68,7 @@ impl Unroll {
             let is_finite = step.forward(network, before, world, walls, activations, &mut self.memory);
             assert!(is_finite, "step {}: a position of Eq. 11 is not finite", k + 1);
             step.correct(network, &mut state.position, &mut state.velocity);
+            self.neighbors.push(step.neighbor_counts());
             self.states[k + 1] = state;
         }
     }
@@ -72,6 +76,11 @@ impl Unroll {
     /// The states after each step.
     pub fn states(&self) -> &[State] {
         self.states.get(1..).unwrap_or_default()
+    }
+
+    /// The numbers of fluid neighbours of each particle at x* in each step, itself excluded.
+    pub fn neighbor_counts(&self) -> &[Vec<u32>] {
+        &self.neighbors
     }
 
     /// The backward pass of the last [`Unroll::forward`], with the same arguments, from the derivatives of L by

@@ -69,10 +69,7 @@ pub fn to_safetensors(weights: &Weights) -> Result<Vec<u8>> {
 /// `Parameter` as [`to_safetensors`]; `Io` if the file cannot be written.
 pub fn save_safetensors(path: impl AsRef<Path>, weights: &Weights) -> Result<()> {
     let bytes = to_safetensors(weights)?;
-    write_atomically(path.as_ref(), |out| out.write_all(&bytes)).map_err(|error| match error {
-        fluvia_sim::Error::Io { path, source } => Error::Io { path, source },
-        other => Error::file(path.as_ref(), other.to_string()),
-    })
+    Ok(write_atomically(path.as_ref(), |out| out.write_all(&bytes))?)
 }
 
 /// A tensor in the form of the file.

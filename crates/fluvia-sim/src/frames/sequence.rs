@@ -222,6 +222,11 @@ impl Sequence {
         self.starts[0]..self.end()
     }
 
+    /// The number of the first frame of each part.
+    pub fn starts(&self) -> &[u64] {
+        &self.starts[..self.files.parts.len()]
+    }
+
     /// The part files, in their order.
     pub fn parts(&self) -> &[PathBuf] {
         &self.files.parts

@@ -1,0 +1,151 @@
+//! Training data: windows of successive frames from the sequences of a data set, in an order that depends on a seed
+//! alone, as batches of clouds.
+//!
+//! ```text
+//! DataSet   the parts of all sequences in a folder, and how many windows each has
+//! Order     position in the stream of windows -> part and first frame   (dataset/order.rs)
+//! Loader    a thread that reads and decompresses ahead, bounded          (dataset/loader.rs)
+//! Batch     clouds one behind the other: starts, true states, walls
+//! ```
+//!
+//! A window of K + 1 frames starts K steps of the network. It does not reach from one part into the next, as in the
+//! published reader.
+
+use std::path::{Path, PathBuf};
+
+use fluvia_neighbors::Point;
+use fluvia_sim::frames::sequence::{self, Part, Sequence};
+
+use crate::integrate::State;
+use crate::{Error, Result};
+
+mod loader;
+mod order;
+mod rotation;
+
+pub use loader::{Damaged, Loaded, Loader, Sampling};
+pub use order::Order;
+pub use rotation::Rotation;
+
+/// The parts of a data set.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct DataSet {
+    parts: Vec<PartFile>,
+}
+
+/// A part file.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct PartFile {
+    /// Where it is.
+    pub path: PathBuf,
+    /// The number of its first frame.
+    pub first: u64,
+    /// How many frames it has.
+    pub frames: usize,
+}
+
+impl DataSet {
+    /// The sequences in a folder, by name. Of each part the first frame is read.
+    ///
+    /// # Errors
+    /// `Io`; `File` if there is no sequence, or one is damaged at its beginning.
+    pub fn open(folder: &Path) -> Result<DataSet> {
+        let found = sequence::find(folder)?;
+        if found.is_empty() {
+            let message = format!("no sequence, expected files named NAME_00{}", sequence::EXTENSION);
+            return Err(Error::file(folder, message));
+        }
+        let mut parts = Vec::new();
+        for files in found {
+            let sequence = Sequence::of(files)?;
+            let mut starts: Vec<u64> = sequence.starts().to_vec();
+            starts.push(sequence.frames().end);
+            parts.extend(sequence.parts().iter().zip(starts.windows(2)).map(|(path, start)| PartFile {
+                path: path.clone(),
+                first: start[0],
+                frames: (start[1] - start[0]) as usize,
+            }));
+        }
+        Ok(DataSet { parts })
+    }
+
+    /// The parts, in the order of the names of sequences.
+    pub fn parts(&self) -> &[PartFile] {
+        &self.parts
+    }
+
+    /// The windows of `frames` frames in each part.
+    pub fn windows(&self, frames: usize) -> Vec<usize> {
+        self.parts.iter().map(|part| (part.frames + 1).saturating_sub(frames)).collect()
+    }
+}
+
+/// Windows of several scenes as one set of clouds.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Batch {
+    /// The states that the windows start from.
+    pub start: State,
+    /// The true states after each step.
+    pub truth: Vec<State>,
+    /// The extra inputs of each particle, [particles, extra inputs].
+    pub extra: Vec<f32>,
+    /// Where the particles of each cloud start: clouds + 1 entries.
+    pub clouds: Vec<usize>,
+    /// Wall particles near the fluid, metres.
+    pub wall_position: Vec<Point>,
+    /// Their normals.
+    pub wall_normal: Vec<Point>,
+    /// Where the wall particles of each cloud start.
+    pub wall_clouds: Vec<usize>,
+}
+
+impl Batch {
+    /// No clouds; windows of so many steps.
+    pub fn new(steps: usize) -> Batch {
+        Batch {
+            truth: vec![State::default(); steps],
+            clouds: vec![0],
+            wall_clouds: vec![0],
+            ..Batch::default()
+        }
+    }
+
+    /// Adds the window that begins with frame `first` of a part, counted from 0, turned by `rotation`. Each particle gets
+    /// its viscosity as an extra input if `viscosity` is set. Wall particles farther than `reach` from all that the fluid
+    /// is in the window are left out, metres.
+    ///
+    /// # Panics
+    /// If the window does not lie in the part.
+    pub fn push(&mut self, part: &Part, first: usize, rotation: &Rotation, viscosity: bool, reach: f32) {
+        let states = std::iter::once(&mut self.start).chain(&mut self.truth);
+        for (state, frame) in states.zip(&part.frames[first..]) {
+            state.position.extend(frame.position.iter().map(|&x| rotation.of(x)));
+            state.velocity.extend(frame.velocity.iter().map(|&v| rotation.of(v)));
+        }
+        let frame = &part.frames[first];
+        if viscosity {
+            self.extra.extend(&frame.viscosity);
+        }
+        self.clouds.push(self.start.position.len());
+        let window = &part.frames[first..=first + self.truth.len()];
+        let near = near_fluid(window.iter().map(|frame| frame.position.as_slice()), reach);
+        let walls = part.walls.position.iter().zip(&part.walls.normal);
+        for (&x, &normal) in walls.filter(|(x, _)| near(**x)) {
+            self.wall_position.push(rotation.of(x));
+            self.wall_normal.push(rotation.of(normal));
+        }
+        self.wall_clouds.push(self.wall_position.len());
+    }
+}
+
+/// Whether a point is within `reach` of the bounding box of all these points.
+fn near_fluid<'a>(frames: impl Iterator<Item = &'a [Point]>, reach: f32) -> impl Fn(Point) -> bool {
+    let (mut low, mut high) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
+    for x in frames.flatten() {
+        for axis in 0..3 {
+            low[axis] = low[axis].min(x[axis] - reach);
+            high[axis] = high[axis].max(x[axis] + reach);
+        }
+    }
+    move |x| (0..3).all(|axis| low[axis] <= x[axis] && x[axis] <= high[axis])
+}

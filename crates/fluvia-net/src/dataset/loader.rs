@@ -1,0 +1,184 @@
+//! Reading ahead: one thread reads, decompresses and puts together batches, another takes them.
+
+use std::path::PathBuf;
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::thread::JoinHandle;
+
+use fluvia_neighbors::Point;
+use fluvia_sim::frames::sequence::{Part, read_part};
+
+use super::order::{Order, stream};
+use super::{Batch, DataSet, Rotation};
+use crate::{Error, Result};
+
+/// Batches that are ready before they are asked for.
+const AHEAD: usize = 4;
+
+/// What of the random numbers is for rotations.
+const ROTATIONS: u64 = u64::MAX - 1;
+
+/// What is done about a part that cannot be read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Damaged {
+    /// It ends the training.
+    Stop,
+    /// Its windows are left out, and the loader names it.
+    Skip,
+}
+
+/// What batches are made of.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Sampling {
+    /// Seed of the order and of the rotations.
+    pub seed: u64,
+    /// Windows of a batch.
+    pub batch: usize,
+    /// Steps of a window, one less than its frames.
+    pub steps: usize,
+    /// Parts that are together in memory.
+    pub group: usize,
+    /// The axis of random rotations; `None` turns nothing.
+    pub axis: Option<Point>,
+    /// Whether particles have their viscosity as an extra input.
+    pub viscosity: bool,
+    /// How far from the fluid wall particles are kept, metres.
+    pub reach: f32,
+    /// What is done about parts that cannot be read.
+    pub damaged: Damaged,
+}
+
+/// A batch, and the position of the stream after its last window: where a training that has used it goes on.
+#[derive(Debug)]
+pub struct Loaded {
+    /// The batch.
+    pub batch: Batch,
+    /// Where to go on.
+    pub next: u64,
+    /// Parts that were left out since the batch before, and why.
+    pub skipped: Vec<String>,
+}
+
+/// Batches from a thread of their own, in the order of the stream.
+#[derive(Debug)]
+pub struct Loader {
+    batches: Receiver<Result<Loaded>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Loader {
+    /// Starts to read from a position of the stream.
+    ///
+    /// # Errors
+    /// `Parameter` if the data set has no window of so many steps.
+    pub fn start(data: &DataSet, sampling: Sampling, position: u64) -> Result<Loader> {
+        let windows = data.windows(sampling.steps + 1);
+        let order = Order::new(sampling.seed, windows, sampling.group);
+        if order.epoch_length() == 0 {
+            let message = format!(
+                "no part of the data set has {} frames or more, as a window needs",
+                sampling.steps + 1
+            );
+            return Err(Error::Parameter(message));
+        }
+        let paths = data.parts().iter().map(|part| part.path.clone()).collect();
+        let (sender, batches) = sync_channel(AHEAD);
+        let thread = std::thread::spawn(move || {
+            let mut reader = Reader { order, paths, sampling, position, skipped: Vec::new() };
+            // Ends when nobody takes batches any more.
+            if let Err(error) = reader.run(&sender) {
+                let _ = sender.send(Err(error));
+            }
+        });
+        Ok(Loader { batches, thread: Some(thread) })
+    }
+
+    /// The next batch.
+    ///
+    /// # Errors
+    /// As [`read_part`] for a damaged part, unless those are left out; `Parameter` if nothing is left.
+    pub fn next(&mut self) -> Result<Loaded> {
+        self.batches.recv().unwrap_or_else(|_| Err(Error::Parameter("the data loader has ended".into())))
+    }
+}
+
+impl Drop for Loader {
+    fn drop(&mut self) {
+        // A closed channel ends the thread.
+        let (_, closed) = sync_channel(0);
+        self.batches = closed;
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+/// What the thread works with.
+struct Reader {
+    order: Order,
+    paths: Vec<PathBuf>,
+    sampling: Sampling,
+    position: u64,
+    skipped: Vec<String>,
+}
+
+impl Reader {
+    /// Makes batches until nobody takes them.
+    fn run(&mut self, sender: &SyncSender<Result<Loaded>>) -> Result<()> {
+        let Sampling { batch: size, steps, .. } = self.sampling;
+        let mut batch = Batch::new(steps);
+        // Windows in a row that could not be read.
+        let mut missed = 0;
+        while let Some(group) = self.order.group_of(self.position) {
+            let parts = self.read(group.windows.iter().map(|window| window.part))?;
+            while self.position < group.positions.end {
+                let window = group.windows[(self.position - group.positions.start) as usize];
+                let rotation = self.rotation();
+                self.position += 1;
+                let Some(part) = &parts[window.part] else {
+                    missed += 1;
+                    if missed > self.order.epoch_length() {
+                        return Err(Error::Parameter("no part of the data set can be read".into()));
+                    }
+                    continue;
+                };
+                missed = 0;
+                let Sampling { viscosity, reach, .. } = self.sampling;
+                batch.push(part, window.first, &rotation, viscosity, reach);
+                if batch.clouds.len() > size {
+                    let batch = std::mem::replace(&mut batch, Batch::new(steps));
+                    let skipped = std::mem::take(&mut self.skipped);
+                    let loaded = Loaded { batch, next: self.position, skipped };
+                    if sender.send(Ok(loaded)).is_err() {
+                        return Ok(());
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// The rotation of the window at the position.
+    fn rotation(&self) -> Rotation {
+        let Sampling { seed, axis, .. } = self.sampling;
+        axis.map_or(Rotation::NONE, |axis| {
+            Rotation::random(axis, &mut stream(seed, [ROTATIONS, self.position]))
+        })
+    }
+
+    /// The parts that windows come from, each at its index.
+    fn read(&mut self, wanted: impl Iterator<Item = usize>) -> Result<Vec<Option<Part>>> {
+        let mut parts: Vec<Option<Part>> = vec![None; self.paths.len()];
+        let mut tried = vec![false; self.paths.len()];
+        for k in wanted {
+            if std::mem::replace(&mut tried[k], true) {
+                continue;
+            }
+            match read_part(&self.paths[k]) {
+                Ok(part) => parts[k] = Some(part),
+                Err(error) if self.sampling.damaged == Damaged::Skip => self.skipped.push(error.to_string()),
+                Err(error) => return Err(error.into()),
+            }
+        }
+        Ok(parts)
+    }
+}

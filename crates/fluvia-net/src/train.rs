@@ -1,0 +1,205 @@
+//! Training: one step from a batch, and what it keeps.
+//!
+//! ```text
+//! batch -> K steps of the network -> loss (Eq. 16-17) -> backward -> Adam -> averages
+//! ```
+
+use cconv::{Kernel, PositionGradient, Precision};
+use fluvia_sim::particles::Acceleration;
+
+use crate::adam::{Adam, average};
+use crate::dataset::Batch;
+use crate::integrate::State;
+use crate::loss::Loss;
+use crate::net::Network;
+use crate::step::{StepGradients, World};
+use crate::unroll::{Storage, Unroll};
+use crate::weights::Weights;
+use crate::{Error, Result, adam};
+
+mod schedule;
+
+pub use schedule::Schedule;
+
+/// How a step is made.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Options {
+    /// The loss.
+    pub loss: Loss,
+    /// The rate of each update.
+    pub schedule: Schedule,
+    /// Constants of the optimiser.
+    pub adam: adam::Params,
+    /// How much of the averaged weights stays in an update; `None` averages nothing.
+    pub average: Option<f32>,
+    /// Whether gradients go through the geometry of the network; they do not in the published training.
+    pub positions: PositionGradient,
+    /// What is kept for the backward pass.
+    pub storage: Storage,
+    /// The format of the large matrix products.
+    pub precision: Precision,
+}
+
+/// What a step did.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Progress {
+    /// The loss before the update.
+    pub loss: f64,
+    /// The Euclidean length of the gradient.
+    pub gradient: f64,
+    /// The rate.
+    pub rate: f32,
+}
+
+/// Weights in training, with all that the next step depends on.
+#[derive(Debug)]
+pub struct Trainer {
+    options: Options,
+    kernel: Kernel,
+    weights: Weights,
+    adam: Adam,
+    /// Averaged weights, as the tensors of `weights`.
+    averages: Option<Vec<Vec<f32>>>,
+    gradients: Vec<Vec<f32>>,
+    by_states: Vec<State>,
+    unroll: Unroll,
+}
+
+impl Trainer {
+    /// Begins with these weights.
+    ///
+    /// # Errors
+    /// `Parameter` as [`Weights::check`].
+    pub fn new(options: Options, weights: Weights, kernel: Kernel) -> Result<Trainer> {
+        let lengths = weights.tensors().into_iter().map(|tensor| tensor.values.len());
+        let adam = Adam::new(options.adam, lengths);
+        let averages = options.average.map(|_| values(&weights));
+        Trainer::resume(options, weights, adam, averages, kernel)
+    }
+
+    /// Goes on with what a trainer had.
+    ///
+    /// # Errors
+    /// `Parameter` as [`Weights::check`], or if the moments or averages are not shaped as the weights.
+    pub fn resume(
+        options: Options,
+        weights: Weights,
+        adam: Adam,
+        averages: Option<Vec<Vec<f32>>>,
+        kernel: Kernel,
+    ) -> Result<Trainer> {
+        weights.check()?;
+        let gradients: Vec<Vec<f32>> =
+            weights.tensors().iter().map(|tensor| vec![0.0; tensor.values.len()]).collect();
+        for tensors in [Some(&adam.first), Some(&adam.second), averages.as_ref()].into_iter().flatten() {
+            let fits = tensors.len() == gradients.len()
+                && tensors.iter().zip(&gradients).all(|(a, b)| a.len() == b.len());
+            if !fits {
+                return Err(Error::Parameter("moments or averages of other tensors than the weights".into()));
+            }
+        }
+        let unroll = Unroll::new(options.storage);
+        Ok(Trainer { options, kernel, weights, adam, averages, gradients, by_states: Vec::new(), unroll })
+    }
+
+    /// The weights of now.
+    pub fn weights(&self) -> &Weights {
+        &self.weights
+    }
+
+    /// The optimiser.
+    pub fn adam(&self) -> &Adam {
+        &self.adam
+    }
+
+    /// The averages.
+    pub fn averages(&self) -> Option<&[Vec<f32>]> {
+        self.averages.as_deref()
+    }
+
+    /// The weights to use: averaged, if they are.
+    pub fn result(&self) -> Weights {
+        let mut weights = self.weights.clone();
+        if let Some(averages) = &self.averages {
+            weights.values_mut().into_iter().zip(averages).for_each(|(to, from)| to.copy_from_slice(from));
+        }
+        weights
+    }
+
+    /// The gradient of the last [`Trainer::differentiate`], as the tensors of the weights.
+    pub fn gradients(&self) -> &[Vec<f32>] {
+        &self.gradients
+    }
+
+    /// The loss of a batch and its gradient by all weights.
+    ///
+    /// # Errors
+    /// `Parameter` if the loss or a derivative is not finite.
+    ///
+    /// # Panics
+    /// If the batch is not made for this network.
+    pub fn differentiate(&mut self, batch: &Batch) -> Result<f64> {
+        let network = Network::new(&self.weights, self.kernel)?.with_precision(self.options.precision);
+        let config = network.config();
+        let mut walls = network.walls(&batch.wall_position, &batch.wall_normal, &batch.wall_clouds);
+        let world = World {
+            extra: &batch.extra,
+            acceleration: Acceleration::Uniform(config.gravity),
+            clouds: &batch.clouds,
+        };
+        self.gradients.iter_mut().for_each(|gradient| gradient.fill(0.0));
+        let Trainer { options, unroll, by_states, gradients, .. } = self;
+        unroll.forward(&network, &batch.start, world, &mut walls, batch.truth.len());
+        let loss = options.loss.evaluate(
+            unroll.states(),
+            &batch.truth,
+            unroll.neighbor_counts(),
+            &batch.clouds,
+            config.dt,
+            by_states,
+        );
+        let wanted = StepGradients {
+            tensors: Some(gradients),
+            positions: options.positions,
+            ..StepGradients::default()
+        };
+        unroll.backward(&network, by_states, world, &mut walls, wanted);
+        let finite = self.gradients.iter().flatten().all(|d| d.is_finite());
+        if !(loss.is_finite() && finite) {
+            let what = if loss.is_finite() { "a derivative".into() } else { format!("the loss ({loss})") };
+            return Err(Error::Parameter(format!(
+                "{what} is not finite in update {}",
+                self.adam.updates + 1
+            )));
+        }
+        Ok(loss)
+    }
+
+    /// One step of training.
+    ///
+    /// # Errors
+    /// As [`Trainer::differentiate`]; the weights are then as they were.
+    ///
+    /// # Panics
+    /// As [`Trainer::differentiate`].
+    pub fn step(&mut self, batch: &Batch) -> Result<Progress> {
+        let loss = self.differentiate(batch)?;
+        let squares = self.gradients.iter().flatten().map(|&d| f64::from(d).powi(2));
+        let gradient = squares.sum::<f64>().sqrt();
+        let rate = self.options.schedule.rate(self.adam.updates);
+        self.adam.update(self.weights.values_mut(), &self.gradients, rate);
+        if let (Some(averages), Some(decay)) = (&mut self.averages, self.options.average) {
+            // At first the mean of all weights so far, so that the beginning is soon forgotten.
+            let decay = decay.min(self.adam.updates as f32 / (self.adam.updates as f32 + 10.0));
+            let weights = self.weights.tensors();
+            let weights: Vec<&[f32]> = weights.iter().map(|tensor| tensor.values).collect();
+            average(averages, &weights, decay);
+        }
+        Ok(Progress { loss, gradient, rate })
+    }
+}
+
+/// The values of all tensors.
+fn values(weights: &Weights) -> Vec<Vec<f32>> {
+    weights.tensors().iter().map(|tensor| tensor.values.to_vec()).collect()
+}

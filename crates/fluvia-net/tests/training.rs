@@ -1,0 +1,170 @@
+//! Training: one step and twenty against PyTorch with Open3D, the same bits at any number of threads, and a network that
+//! learns.
+
+#![allow(clippy::unwrap_used, reason = "a test that fails says where")]
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use cconv::{Kernel, PositionGradient, Precision};
+use fluvia_net::adam;
+use fluvia_net::dataset::Batch;
+use fluvia_net::integrate::State;
+use fluvia_net::loss::Loss;
+use fluvia_net::train::{Options, Schedule, Trainer};
+use fluvia_net::unroll::Storage;
+use fluvia_net::weights::{self, Weights};
+use fluvia_sim::frames::npz::{Array, read_arrays};
+
+fn golden_folder() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/golden")
+}
+
+/// The training of the published scripts, with a rate that stays.
+fn published() -> Options {
+    Options {
+        loss: Loss::default(),
+        schedule: Schedule::Steps { rate: 1e-3, factor: 1.0, at: Vec::new() },
+        adam: adam::Params::default(),
+        average: None,
+        positions: PositionGradient::Stop,
+        storage: Storage::Keep,
+        precision: Precision::F32,
+    }
+}
+
+struct Golden(BTreeMap<String, Array>);
+
+impl Golden {
+    fn open() -> Golden {
+        Golden(read_arrays(&golden_folder().join("training.npz")).unwrap())
+    }
+
+    fn values(&self, name: &str) -> &[f64] {
+        &self.0.get(name).unwrap_or_else(|| panic!("no {name}")).values
+    }
+
+    fn points(&self, name: &str) -> Vec<[f32; 3]> {
+        self.values(name).chunks_exact(3).map(|p| [p[0] as f32, p[1] as f32, p[2] as f32]).collect()
+    }
+
+    fn batch(&self, b: usize) -> Batch {
+        let mut batch = Batch::new(2);
+        for c in 0..2 {
+            let points = |name: &str| self.points(&format!("{name}_{b}_{c}"));
+            batch.start.position.extend(points("pos"));
+            batch.start.velocity.extend(points("vel"));
+            for (truth, name) in batch.truth.iter_mut().zip(["pos1", "pos2"]) {
+                truth.position.extend(points(name));
+                // Not in the loss.
+                truth.velocity.resize(truth.position.len(), [0.0; 3]);
+            }
+            batch.clouds.push(batch.start.position.len());
+            batch.wall_position.extend(points("box"));
+            batch.wall_normal.extend(points("box_normals"));
+            batch.wall_clouds.push(batch.wall_position.len());
+        }
+        batch
+    }
+}
+
+#[test]
+fn a_step_has_the_loss_and_the_gradients_of_pytorch() {
+    let golden = Golden::open();
+    let weights = weights::load(golden_folder().join("net.pt")).unwrap();
+    for kernel in Kernel::available() {
+        let mut trainer = Trainer::new(published(), weights.clone(), kernel).unwrap();
+        let loss = trainer.differentiate(&golden.batch(0)).unwrap();
+        let expected = golden.values("loss")[0];
+        assert!((loss / expected - 1.0).abs() < 1e-4, "{}: {loss}, not {expected}", kernel.name());
+        for (tensor, values) in weights.tensors().iter().zip(trainer.gradients()) {
+            let expected = golden.values(&tensor.name);
+            let shape = &tensor.shape;
+            // PyTorch's layout of dense weights is [out, in].
+            let place = |k: usize| match tensor.name.ends_with(".weight") {
+                true => (k % shape[1]) * shape[0] + k / shape[1],
+                false => k,
+            };
+            let scale = expected.iter().fold(0.0f64, |a, x| a.max(x.abs()));
+            let worst = values.iter().enumerate().map(|(k, d)| (f64::from(*d) - expected[place(k)]).abs());
+            let error = worst.fold(0.0, |a, d| if d > a || d.is_nan() { d } else { a }) / scale;
+            // Both sides are float32 sums.
+            assert!(error < 1e-4, "{}: {} off by {error:.1e}", kernel.name(), tensor.name);
+        }
+    }
+}
+
+#[test]
+fn twenty_steps_follow_the_losses_of_pytorch() {
+    let golden = Golden::open();
+    let weights = weights::load(golden_folder().join("net.pt")).unwrap();
+    let mut trainer = Trainer::new(published(), weights, Kernel::detect()).unwrap();
+    for (update, &expected) in golden.values("loss").iter().enumerate() {
+        let progress = trainer.step(&golden.batch(update % 4)).unwrap();
+        let error = (progress.loss / expected - 1.0).abs();
+        assert!(error < 0.01, "update {update}: {} where PyTorch has {expected}", progress.loss);
+    }
+    assert_eq!(trainer.adam().updates, 20);
+}
+
+/// A batch with known answers: what the network of `teacher` does.
+fn taught(teacher: &Weights, batch: Batch) -> Batch {
+    use fluvia_net::net::Network;
+    use fluvia_net::step::World;
+    use fluvia_net::unroll::Unroll;
+    use fluvia_sim::particles::Acceleration;
+    let network = Network::new(teacher, Kernel::detect()).unwrap();
+    let mut walls = network.walls(&batch.wall_position, &batch.wall_normal, &batch.wall_clouds);
+    let world = World {
+        extra: &[],
+        acceleration: Acceleration::Uniform(teacher.config.gravity),
+        clouds: &batch.clouds,
+    };
+    let mut unroll = Unroll::new(Storage::Keep);
+    unroll.forward(&network, &batch.start, world, &mut walls, 2);
+    let truth: Vec<State> = unroll.states().to_vec();
+    Batch { truth, ..batch }
+}
+
+#[test]
+fn a_network_learns_and_its_average_follows() {
+    let golden = Golden::open();
+    let teacher = weights::load(golden_folder().join("net.pt")).unwrap();
+    let student = Weights::random(teacher.config.clone(), 4, &[6, 6], 1);
+    let options = Options {
+        schedule: Schedule::Cosine { rate: 1e-2, warmup: 10, updates: 150 },
+        average: Some(0.95),
+        ..published()
+    };
+    let run = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| {
+            let mut trainer = Trainer::new(options.clone(), student.clone(), Kernel::detect()).unwrap();
+            let batches: Vec<Batch> = (0..4).map(|b| taught(&teacher, golden.batch(b))).collect();
+            let losses: Vec<f64> = (0..150).map(|k| trainer.step(&batches[k % 4]).unwrap().loss).collect();
+            let mut judge = Trainer::new(options.clone(), trainer.result(), Kernel::detect()).unwrap();
+            (losses, judge.differentiate(&batches[0]).unwrap(), trainer.result())
+        })
+    };
+    let (losses, averaged, result) = run(1);
+    let mean = |losses: &[f64]| losses.iter().sum::<f64>() / losses.len() as f64;
+    let (before, after) = (mean(&losses[..8]), mean(&losses[142..]));
+    // The loss grows with the root of a distance: half of it is a quarter of the distance.
+    assert!(after < 0.6 * before, "{before} to {after}");
+    assert!(averaged < 0.65 * before, "{before} to {averaged}");
+    let (again, _, same) = run(3);
+    assert!(losses == again && result == same, "other bits with other numbers of threads");
+}
+
+#[test]
+fn what_is_not_finite_leaves_the_weights() {
+    let golden = Golden::open();
+    let weights = weights::load(golden_folder().join("net.pt")).unwrap();
+    let mut trainer = Trainer::new(published(), weights.clone(), Kernel::detect()).unwrap();
+    let mut batch = golden.batch(0);
+    batch.truth[1].position[3][0] = f32::NAN;
+    let error = trainer.step(&batch).unwrap_err().to_string();
+    assert!(error.contains("update 1") && error.contains("not finite"), "{error}");
+    assert_eq!(*trainer.weights(), weights);
+    assert_eq!(trainer.adam().updates, 0);
+}
