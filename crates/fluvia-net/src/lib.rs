@@ -4,6 +4,7 @@
 //! float64, the specification that it is tested against.
 
 pub mod adam;
+pub mod checkpoint;
 pub mod config;
 pub mod dataset;
 pub mod integrate;

@@ -46,7 +46,7 @@ fn write_set(folder: &Path) -> DataSet {
 
 fn take(data: &DataSet, sampling: Sampling, position: u64, count: usize) -> Vec<(Batch, u64)> {
     let mut loader = Loader::start(data, sampling, position).unwrap();
-    let mut next = || loader.next().unwrap();
+    let mut next = || loader.take().unwrap();
     (0..count).map(|_| next()).map(|loaded| (loaded.batch, loaded.next)).collect()
 }
 
@@ -113,11 +113,11 @@ fn damaged_and_missing_files() {
     std::fs::write(&bad, &bytes[..bytes.len() / 2]).unwrap();
     // Within an epoch its turn comes.
     let mut loader = Loader::start(&data, sampling(), 0).unwrap();
-    let error = (0..20).find_map(|_| loader.next().err()).unwrap().to_string();
+    let error = (0..20).find_map(|_| loader.take().err()).unwrap().to_string();
     assert!(error.contains("sim_0002_00.msgpack.zst") && error.lines().count() == 1, "{error}");
     let skip = Sampling { damaged: Damaged::Skip, axis: None, ..sampling() };
     let mut loader = Loader::start(&data, skip.clone(), 0).unwrap();
-    let loaded: Vec<_> = (0..12).map(|_| loader.next().unwrap()).collect();
+    let loaded: Vec<_> = (0..12).map(|_| loader.take().unwrap()).collect();
     let skipped: Vec<&String> = loaded.iter().flat_map(|loaded| &loaded.skipped).collect();
     assert!(skipped[0].contains("sim_0002_00"), "{skipped:?}");
     let starts = loaded
@@ -132,7 +132,7 @@ fn damaged_and_missing_files() {
         std::fs::remove_file(&part.path).unwrap();
     }
     let mut loader = Loader::start(&data, Sampling { damaged: Damaged::Skip, ..sampling() }, 0).unwrap();
-    let error = loader.next().unwrap_err().to_string();
+    let error = loader.take().unwrap_err().to_string();
     assert!(error.contains("no part"), "{error}");
     let error = DataSet::open(folder.path()).unwrap_err().to_string();
     assert!(error.contains("no sequence"), "{error}");

@@ -96,7 +96,7 @@ impl Loader {
     ///
     /// # Errors
     /// As [`read_part`] for a damaged part, unless those are left out; `Parameter` if nothing is left.
-    pub fn next(&mut self) -> Result<Loaded> {
+    pub fn take(&mut self) -> Result<Loaded> {
         self.batches.recv().unwrap_or_else(|_| Err(Error::Parameter("the data loader has ended".into())))
     }
 }
