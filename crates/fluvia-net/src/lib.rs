@@ -7,6 +7,7 @@ pub mod adam;
 pub mod checkpoint;
 pub mod config;
 pub mod dataset;
+pub mod evaluate;
 pub mod integrate;
 pub mod loss;
 pub mod net;

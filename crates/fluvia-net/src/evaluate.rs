@@ -1,0 +1,187 @@
+//! The paper's metrics of a solver against a true sequence (Tables 1, 2 and 5, Fig. 6).
+//!
+//! ```text
+//! e_1, e_2   mean |x_i − x̂_i| one and two frames after a start from a true frame, every fifth; the last fifth apart
+//! d^n        Eq. 18 between frame n of a rollout from frame 0 and the true one, both ways
+//! ```
+//!
+//! A frame that is not finite is counted, never dropped: what it would be part of has no value.
+
+use fluvia_sim::frames::sequence::{Frame, Sequence};
+use fluvia_sim::metrics::{self, distance_to_closest, first_non_finite};
+use fluvia_sim::particles::{Acceleration, Boundary, Particles};
+use fluvia_sim::rollout::Solver;
+
+use crate::Result;
+
+/// Frames from one start to the next, and from one frame of a rollout that is compared to the next.
+const EVERY: u64 = 5;
+
+/// Frames after the last start: the published evaluator needs three more.
+const AFTER_START: u64 = 3;
+
+/// A rollout is unstable from the first frame on in which a particle is faster, metres per second.
+const UNSTABLE_SPEED: f32 = 20.0;
+
+/// One-step errors from one start, metres; `None` where a number is not finite.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StartErrors {
+    /// The true frame that it starts from.
+    pub frame: u64,
+    /// e_1 and e_2.
+    pub errors: [Option<f64>; 2],
+}
+
+/// A frame of a rollout beside the true one.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Compared {
+    /// Its number.
+    pub frame: u64,
+    /// d^n from the true particles to the closest predicted ones, metres; `None` if a number is not finite.
+    pub distance: Option<f64>,
+    /// The other way.
+    pub distance_back: Option<f64>,
+}
+
+/// What a solver is judged by: how it starts, and what moves beside it.
+pub struct Judged<'a> {
+    /// A solver for these walls.
+    pub solver: &'a mut dyn Solver,
+    /// The external acceleration, metres per second squared.
+    pub gravity: [f32; 3],
+    /// Seconds between frames.
+    pub dt: f32,
+}
+
+impl Judged<'_> {
+    /// The particles after the next frame interval; whether all are finite.
+    fn step(&mut self, particles: &mut Particles) -> Result<bool> {
+        self.solver.step(particles, Acceleration::Uniform(self.gravity), self.dt)?;
+        Ok(first_non_finite(particles).is_none())
+    }
+
+    /// The errors after one and two steps from every fifth frame.
+    ///
+    /// # Errors
+    /// As the solver, and if a frame cannot be read.
+    pub fn start_errors(
+        &mut self,
+        sequence: &mut Sequence,
+        mut done: impl FnMut(),
+    ) -> Result<Vec<StartErrors>> {
+        let frames = sequence.frames();
+        let mut starts = Vec::new();
+        let mut start = frames.start;
+        while start + AFTER_START < frames.end {
+            let mut particles = particles_of(sequence.frame(start)?);
+            let mut errors = [None; 2];
+            for (k, error) in (1..).zip(&mut errors) {
+                if !self.step(&mut particles)? {
+                    break;
+                }
+                *error = Some(mean_distance(&particles.position, &sequence.frame(start + k)?.position));
+            }
+            starts.push(StartErrors { frame: start, errors });
+            start += EVERY;
+            done();
+        }
+        Ok(starts)
+    }
+
+    /// A rollout from the first frame, as long as the sequence is. `observe` sees every frame of it, the first included,
+    /// until one is not finite, with the true one; it gives what it wants kept.
+    ///
+    /// # Errors
+    /// As the solver, `observe`, and if a frame cannot be read.
+    pub fn roll_out(
+        &mut self,
+        sequence: &mut Sequence,
+        mut observe: impl FnMut(&Particles, &Frame) -> Result<()>,
+    ) -> Result<Rolled> {
+        let frames = sequence.frames();
+        let first = sequence.frame(frames.start)?;
+        let mut particles = particles_of(first);
+        observe(&particles, first)?;
+        let mut rolled = Rolled::default();
+        let mut before = first.position.clone();
+        for number in frames.start + 1..frames.end {
+            let finite = rolled.non_finite_frames == 0 && self.step(&mut particles)?;
+            let truth = sequence.frame(number)?;
+            rolled.non_finite_frames += u64::from(!finite);
+            let is_unstable = !finite || metrics::highest_speed(&particles.velocity) > UNSTABLE_SPEED;
+            if is_unstable && rolled.unstable_from.is_none() {
+                rolled.unstable_from = Some(number);
+            }
+            if finite {
+                observe(&particles, truth)?;
+            }
+            let passed = number - frames.start;
+            let between =
+                |from: &[[f32; 3]], to: &[[f32; 3]]| finite.then(|| distance_to_closest(from, to)).flatten();
+            if passed.is_multiple_of(EVERY) {
+                rolled.compared.push(Compared {
+                    frame: number,
+                    distance: between(&truth.position, &particles.position),
+                    distance_back: between(&particles.position, &truth.position),
+                });
+            }
+            if passed > EVERY && (passed - 1).is_multiple_of(EVERY) {
+                rolled.published.push(between(&before, &particles.position));
+            }
+            before.clone_from(&truth.position);
+        }
+        Ok(rolled)
+    }
+}
+
+/// What came of a rollout.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Rolled {
+    /// Every fifth frame.
+    pub compared: Vec<Compared>,
+    /// d from every fifth true frame to the predicted one after it, metres: what the published evaluator takes.
+    pub published: Vec<Option<f64>>,
+    /// Frames with a number that is not finite, and all after the first of them.
+    pub non_finite_frames: u64,
+    /// The first frame in which a number is not finite or a particle too fast.
+    pub unstable_from: Option<u64>,
+}
+
+/// The acceleration of a particle alone, without walls, from rest, metres per second squared: the mean over some frames
+/// of what its velocity gains.
+///
+/// # Errors
+/// As the solver, which is one without walls.
+pub fn lone_acceleration(solver: &mut dyn Solver, gravity: [f32; 3], dt: f32) -> Result<[f64; 3]> {
+    /// Half a second at 50 Hz, while speeds are those of the training data.
+    const FRAMES: u32 = 25;
+    let mut particles = Particles::of_one_body(vec![[0.0; 3]], vec![[0.0; 3]]);
+    for _ in 0..FRAMES {
+        solver.step(&mut particles, Acceleration::Uniform(gravity), dt)?;
+    }
+    Ok(particles.velocity[0].map(|v| f64::from(v) / f64::from(FRAMES as f32 * dt)))
+}
+
+/// No walls.
+pub fn no_walls() -> Boundary {
+    Boundary::default()
+}
+
+/// The mean of the values, `None` if one is missing or there are none.
+pub fn mean(values: impl Iterator<Item = Option<f64>>) -> Option<f64> {
+    let values: Option<Vec<f64>> = values.collect();
+    values.filter(|values| !values.is_empty()).map(|values| values.iter().sum::<f64>() / values.len() as f64)
+}
+
+/// A frame as particles of one body.
+fn particles_of(frame: &Frame) -> Particles {
+    Particles::of_one_body(frame.position.clone(), frame.velocity.clone())
+}
+
+/// The mean of |a_i − b_i|, metres.
+fn mean_distance(a: &[[f32; 3]], b: &[[f32; 3]]) -> f64 {
+    let distance = |(a, b): (&[f32; 3], &[f32; 3])| {
+        (0..3).map(|axis| f64::from(a[axis] - b[axis]).powi(2)).sum::<f64>().sqrt()
+    };
+    a.iter().zip(b).map(distance).sum::<f64>() / a.len().max(1) as f64
+}
