@@ -1,6 +1,5 @@
 //! `fluvia compare`: how far two runs of one scene are apart, and in what.
 
-mod measure;
 mod plots;
 mod table;
 
@@ -9,13 +8,13 @@ use std::process::ExitCode;
 
 use anyhow::{Context, Result, bail};
 use fluvia_sim::frames;
-use fluvia_sim::metrics::distance_to_closest;
+use fluvia_sim::metrics::{Bounds, distance_to_closest};
 use serde::Serialize;
 
+use crate::curves::{Curves, Surroundings};
 use crate::frame_source::FrameSource;
 use crate::options::{positive, thread_pool, threads};
 use crate::report::Report;
-use measure::Curves;
 use table::Difference;
 
 /// The files that `--out` writes.
@@ -162,7 +161,16 @@ fn compare(
 ) -> Result<Comparison> {
     let bar = report.bar(frame.len() as u64);
     let mut distance = Distances { control_m: control.as_ref().map(|_| Vec::new()), ..Distances::default() };
-    let mut runs = [Curves::new(a), Curves::new(b)];
+    let curves = |run: &Run| {
+        let source = &run.source;
+        let scene = Surroundings {
+            walls: Bounds::of(&source.walls().position),
+            particle_radius: source.particle_radius,
+            gravity: source.gravity,
+        };
+        Curves::new(&run.label, source.path(), scene)
+    };
+    let mut runs = [curves(a), curves(b)];
     for &number in &frame {
         let [in_a, in_b] = [a.source.read(number)?, b.source.read(number)?];
         distance.a_to_b_m.push(distance_to_closest(&in_a.position, &in_b.position));
@@ -170,8 +178,10 @@ fn compare(
         if let (Some(control), Some(distances)) = (&mut control, &mut distance.control_m) {
             distances.push(distance_to_closest(&in_a.position, &control.source.read(number)?.position));
         }
-        runs[0].measure(a, in_a)?;
-        runs[1].measure(b, in_b)?;
+        for (curves, (run, frame)) in runs.iter_mut().zip([(&*a, in_a), (&*b, in_b)]) {
+            let without = || format!("{}: frames without velocities", run.source.path().display());
+            curves.measure(&frame.position, &frame.velocity.with_context(without)?);
+        }
         bar.inc(1);
     }
     bar.finish_and_clear();

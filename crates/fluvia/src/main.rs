@@ -6,6 +6,7 @@
 mod bench;
 mod compare;
 mod convert;
+mod curves;
 mod data_set;
 mod frame_source;
 mod generate;

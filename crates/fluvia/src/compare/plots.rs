@@ -3,7 +3,7 @@
 use plotters::prelude::*;
 
 use super::Comparison;
-use super::measure::Curve;
+use crate::curves::{Curve, Curves};
 
 /// Pixels.
 const SIZE: (u32, u32) = (1200, 720);
@@ -31,14 +31,14 @@ pub fn svg(comparison: &Comparison) -> Result<String, String> {
     if let Some(control) = &distance.control_m {
         distances.push(("control", scaled(control, 1e3)));
     }
-    let both = |title, curve: fn(&super::Curves) -> Curve| Panel {
+    let both = |title, curve: fn(&Curves) -> Curve| Panel {
         title,
         curves: vec![(a.label.as_str(), curve(a)), (b.label.as_str(), curve(b))],
     };
     let panels = [
         Panel { title: "distance d of Eq. 18, mm", curves: distances },
         both("kinetic energy per mass, J/kg", |run| run.kinetic_energy_j_per_kg.clone()),
-        both("height of the centre of mass, m", super::Curves::height),
+        both("height of the centre of mass, m", Curves::height),
         both("surface height, m", |run| run.surface_height_m.clone()),
         both("horizontal spread, m", |run| run.spread_m.clone()),
         both("highest density over rest density", |run| run.highest_density.clone()),

@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 use super::Comparison;
-use super::measure::{Curve, Curves};
+use crate::curves::{Curve, Curves};
 
 /// Figures that fluctuate are means over this part of the frames, the last.
 const END: f64 = 0.2;

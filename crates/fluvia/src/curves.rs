@@ -1,11 +1,10 @@
 //! What is measured of every frame of a run.
 
-use anyhow::{Context, Result};
-use fluvia_sim::frames::ParticleData;
+use std::path::Path;
+
 use fluvia_sim::metrics::{self, Bounds};
 use serde::Serialize;
 
-use super::Run;
 use crate::record::decimal;
 
 /// A particle is dense above this part of rest density.
@@ -42,14 +41,25 @@ pub struct Curves {
     pub nearest_median_m: Curve,
     pub nearest_smallest_m: Curve,
     #[serde(skip)]
-    bounds: Option<Bounds>,
+    scene: Surroundings,
+}
+
+/// What is known of the scene of a run.
+#[derive(Clone, Copy, Default)]
+pub struct Surroundings {
+    /// The walls' bounding box, if there are walls.
+    pub walls: Option<Bounds>,
+    /// Metres.
+    pub particle_radius: f32,
+    /// Metres per second squared.
+    pub gravity: [f32; 3],
 }
 
 impl Curves {
-    pub fn new(run: &Run) -> Curves {
+    pub fn new(label: &str, path: &Path, scene: Surroundings) -> Curves {
         Curves {
-            label: run.label.clone(),
-            path: run.source.path().display().to_string(),
+            label: label.to_owned(),
+            path: path.display().to_string(),
             particles: Vec::new(),
             kinetic_energy_j_per_kg: Vec::new(),
             potential_energy_j_per_kg: Vec::new(),
@@ -61,33 +71,29 @@ impl Curves {
             dense_particles: Vec::new(),
             nearest_median_m: Vec::new(),
             nearest_smallest_m: Vec::new(),
-            bounds: Bounds::of(&run.source.walls().position),
+            scene,
         }
     }
 
     /// Adds a frame.
-    pub fn measure(&mut self, run: &Run, frame: ParticleData) -> Result<()> {
-        let ParticleData { position, velocity, .. } = frame;
-        let velocity = velocity
-            .with_context(|| format!("{}: frames without velocities", run.source.path().display()))?;
-        let radius = run.source.particle_radius;
+    pub fn measure(&mut self, position: &[[f32; 3]], velocity: &[[f32; 3]]) {
+        let Surroundings { walls, particle_radius: radius, gravity } = self.scene;
         let some = |value: f64| (!position.is_empty()).then_some(value);
-        let density = metrics::density_ratios(&position, &[], radius);
-        let nearest = metrics::nearest_distances(&position, radius);
+        let density = metrics::density_ratios(position, &[], radius);
+        let nearest = metrics::nearest_distances(position, radius);
         let smallest = nearest.iter().copied().reduce(f32::min);
         let finite = |value: Option<f32>| value.filter(|value| value.is_finite()).map(decimal);
         self.particles.push(position.len());
-        self.kinetic_energy_j_per_kg.push(some(metrics::kinetic_energy(&velocity)));
-        self.potential_energy_j_per_kg.push(some(metrics::potential_energy(&position, run.source.gravity)));
-        self.center_of_mass_m.push(metrics::center_of_mass(&position));
-        self.spread_m.push(metrics::spread(&position));
-        self.surface_height_m.push(metrics::surface_height(&position, COLUMN * radius).map(decimal));
-        self.outside.push(self.bounds.map_or(0, |walls| metrics::outside(&position, &walls, radius)));
+        self.kinetic_energy_j_per_kg.push(some(metrics::kinetic_energy(velocity)));
+        self.potential_energy_j_per_kg.push(some(metrics::potential_energy(position, gravity)));
+        self.center_of_mass_m.push(metrics::center_of_mass(position));
+        self.spread_m.push(metrics::spread(position));
+        self.surface_height_m.push(metrics::surface_height(position, COLUMN * radius).map(decimal));
+        self.outside.push(walls.map_or(0, |walls| metrics::outside(position, &walls, radius)));
         self.dense_particles.push(density.iter().filter(|&&ratio| ratio > DENSE).count());
         self.highest_density.push(density.into_iter().reduce(f32::max).map(decimal));
         self.nearest_median_m.push(finite(metrics::median(nearest)));
         self.nearest_smallest_m.push(finite(smallest));
-        Ok(())
     }
 
     /// The height of the centre of mass, metres.
