@@ -18,8 +18,10 @@ use crate::weights::Weights;
 use crate::{Error, Result, adam};
 
 mod schedule;
+mod validation;
 
 pub use schedule::Schedule;
+pub use validation::{Errors, Validation};
 
 /// How a step is made.
 #[derive(Clone, Debug, PartialEq)]

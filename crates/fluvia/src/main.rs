@@ -18,6 +18,7 @@ mod report;
 mod resume;
 mod simulate;
 mod solvers;
+mod train;
 
 use std::process::ExitCode;
 
@@ -46,6 +47,8 @@ enum Command {
     Simulate(simulate::Args),
     /// Make a data set of random scenes.
     Generate(generate::Args),
+    /// Train a network on a data set.
+    Train(train::Args),
     /// Say how far two runs of a scene are apart.
     Compare(compare::Args),
     /// Draw frames: a picture, a contact sheet or a film.
@@ -69,6 +72,7 @@ fn main() -> ExitCode {
     let result = match cli.command {
         Command::Simulate(args) => simulate::run(&args, &report),
         Command::Generate(args) => generate::run(&args, &report),
+        Command::Train(args) => train::run(&args, &report),
         Command::Compare(args) => compare::run(&args, &report),
         Command::Render(args) => render::run(&args, &report),
         Command::Inspect(args) => inspect::run(&args, &report),

@@ -3,6 +3,7 @@
 use anyhow::{Context, Result, bail};
 use cconv::Precision;
 use fluvia_sim::substep::Substep;
+use serde::{Deserialize, Serialize};
 
 /// A pool of the given number of threads, by default one per core.
 pub fn thread_pool(threads: Option<usize>) -> Result<rayon::ThreadPool> {
@@ -40,7 +41,8 @@ pub fn substep(fixed: Option<f32>, longest: Option<f32>, frame: f32) -> Result<O
 }
 
 /// The format in which the network's large matrix products are multiplied.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum PrecisionName {
     /// float32.
     F32,

@@ -14,7 +14,7 @@ const ARROWS: [(&str, &[&str]); 6] = [
 ];
 
 /// Where files may be touched outside the binary.
-const TOUCHES_FILES: [&str; 8] = [
+const TOUCHES_FILES: [&str; 9] = [
     "fluvia-sim/src/scene.rs",
     "fluvia-sim/src/scene/",
     "fluvia-sim/src/mesh.rs",
@@ -22,6 +22,7 @@ const TOUCHES_FILES: [&str; 8] = [
     "fluvia-sim/src/frames.rs",
     "fluvia-sim/src/frames/",
     "fluvia-net/src/weights.rs",
+    "fluvia-net/src/checkpoint.rs",
     "fluvia-net/src/weights/",
 ];
 

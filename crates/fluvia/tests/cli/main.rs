@@ -7,3 +7,4 @@ mod generate;
 mod sequences;
 mod simulate;
 mod tools;
+mod train;

@@ -1,0 +1,125 @@
+//! How good a network is in the middle of a training: its loss and its errors on a fixed choice of windows.
+
+use cconv::Kernel;
+use fluvia_sim::frames::sequence::read_part;
+use fluvia_sim::particles::Acceleration;
+
+use super::Options;
+use crate::Result;
+use crate::dataset::{Batch, DataSet, Rotation, Sampling};
+use crate::net::{Activations, Memory, Network};
+use crate::step::{Step, World};
+use crate::weights::Weights;
+
+/// Windows of one call.
+const TOGETHER: usize = 4;
+
+/// Windows that are kept in memory.
+#[derive(Debug)]
+pub struct Validation {
+    batches: Vec<Batch>,
+}
+
+/// What was found.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Errors {
+    /// The loss of training.
+    pub loss: f64,
+    /// The mean over particles of |x − x̂| after each step, and of that over windows, metres.
+    pub position: Vec<f64>,
+}
+
+impl Validation {
+    /// Takes so many windows, evenly from all of a data set, as they are: not turned.
+    ///
+    /// # Errors
+    /// If a part cannot be read.
+    pub fn read(data: &DataSet, sampling: &Sampling, windows: usize) -> Result<Validation> {
+        let counts = data.windows(sampling.steps + 1);
+        let all: usize = counts.iter().sum();
+        let windows = windows.min(all);
+        let mut chosen = (0..windows).map(|k| (2 * k + 1) * all / (2 * windows)).peekable();
+        let (mut batches, mut first) = (Vec::new(), 0);
+        let mut batch = Batch::new(sampling.steps);
+        for (part, count) in data.parts().iter().zip(counts) {
+            let mut loaded = None;
+            while let Some(window) = chosen.next_if(|&window| window < first + count) {
+                if loaded.is_none() {
+                    loaded = Some(read_part(&part.path)?);
+                }
+                let Some(part) = &loaded else { continue };
+                batch.push(part, window - first, &Rotation::NONE, sampling.viscosity, sampling.reach);
+                if batch.clouds.len() > TOGETHER {
+                    batches.push(std::mem::replace(&mut batch, Batch::new(sampling.steps)));
+                }
+            }
+            first += count;
+        }
+        if batch.clouds.len() > 1 {
+            batches.push(batch);
+        }
+        Ok(Validation { batches })
+    }
+
+    /// The number of windows.
+    pub fn windows(&self) -> usize {
+        self.batches.iter().map(|batch| batch.clouds.len() - 1).sum()
+    }
+
+    /// The errors of these weights.
+    ///
+    /// # Errors
+    /// `Parameter` as [`Weights::check`].
+    pub fn errors(&self, weights: &Weights, options: &Options, kernel: Kernel) -> Result<Errors> {
+        let network = Network::new(weights, kernel)?.with_precision(options.precision);
+        let config = network.config();
+        let (mut step, mut memory) = (Step::default(), Memory::default());
+        let steps = self.batches.first().map_or(0, |batch| batch.truth.len());
+        let mut errors = Errors { loss: 0.0, position: vec![0.0; steps] };
+        let windows = self.windows().max(1) as f64;
+        for batch in &self.batches {
+            let mut walls = network.walls(&batch.wall_position, &batch.wall_normal, &batch.wall_clouds);
+            let world = World {
+                extra: &batch.extra,
+                acceleration: Acceleration::Uniform(config.gravity),
+                clouds: &batch.clouds,
+            };
+            let mut state = batch.start.clone();
+            let (mut states, mut neighbors) = (Vec::new(), Vec::new());
+            for (truth, error) in batch.truth.iter().zip(&mut errors.position) {
+                let before = (state.position.as_slice(), state.velocity.as_slice());
+                let finite =
+                    step.forward(&network, before, world, &mut walls, Activations::Drop, &mut memory);
+                if !finite {
+                    *error = f64::INFINITY;
+                    errors.loss = f64::INFINITY;
+                    continue;
+                }
+                step.correct(&network, &mut state.position, &mut state.velocity);
+                for cloud in batch.clouds.windows(2) {
+                    let pairs = state.position[cloud[0]..cloud[1]].iter().zip(&truth.position[cloud[0]..]);
+                    let distance = |(a, b): (&[f32; 3], &[f32; 3])| {
+                        (0..3).map(|k| f64::from(a[k] - b[k]).powi(2)).sum::<f64>().sqrt()
+                    };
+                    *error +=
+                        pairs.map(distance).sum::<f64>() / (cloud[1] - cloud[0]).max(1) as f64 / windows;
+                }
+                neighbors.push(step.neighbor_counts());
+                states.push(state.clone());
+            }
+            if states.len() == steps {
+                let part = (batch.clouds.len() - 1) as f64 / windows;
+                let loss = options.loss.evaluate(
+                    &states,
+                    &batch.truth,
+                    &neighbors,
+                    &batch.clouds,
+                    config.dt,
+                    &mut Vec::new(),
+                );
+                errors.loss += part * loss;
+            }
+        }
+        Ok(errors)
+    }
+}

@@ -1,0 +1,320 @@
+//! `fluvia train`: trains a network on the sequences of a data set.
+//!
+//! ```text
+//! RUN/config.json              the settings
+//! RUN/checkpoint.safetensors   where to go on, to the same bits
+//! RUN/weights.safetensors      the weights of the last checkpoint, as `--weights` takes them
+//! RUN/best.safetensors         those with the lowest validation error
+//! RUN/metrics.jsonl            what was found on the way; also as TensorBoard's events
+//! ```
+
+mod config;
+mod events;
+mod log;
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+use anyhow::{Context, Result, bail};
+use cconv::Kernel;
+use fluvia_net::adam::Adam;
+use fluvia_net::checkpoint::{Checkpoint, Place};
+use fluvia_net::dataset::{Damaged, DataSet, Loaded, Loader};
+use fluvia_net::train::{Progress, Trainer, Validation};
+use fluvia_net::weights::{Weights, save_safetensors};
+use fluvia_sim::frames;
+use indicatif::ProgressBar;
+use serde_json::{Value, json};
+
+use crate::options::{thread_pool, threads};
+use crate::record::{decimal, first_difference};
+use crate::report::Report;
+use crate::simulate::INTERRUPTED;
+use config::Config;
+use log::{Line, Log};
+
+const SETTINGS: &str = "config.json";
+const CHECKPOINT: &str = "checkpoint.safetensors";
+const WEIGHTS: &str = "weights.safetensors";
+const BEST: &str = "best.safetensors";
+
+/// Options of `fluvia train`.
+#[derive(clap::Args)]
+#[command(after_help = "\
+Examples:
+  fluvia generate --preset default --out data/default
+  fluvia train assets/configs/paper.toml --data data/default --out out/paper
+  fluvia train assets/configs/paper.toml --data data/default --out out/paper --resume
+
+DIR of --data has the folders train and valid. A run that was interrupted or killed goes on with --resume from its last
+checkpoint, to the same weights as one that was not.")]
+pub struct Args {
+    /// The settings (TOML).
+    #[arg(value_name = "CONFIG")]
+    config: PathBuf,
+    /// The data set, with the folders `train` and `valid`; takes the place of `data` in the settings.
+    #[arg(long, value_name = "DIR")]
+    data: Option<PathBuf>,
+    /// The directory to write to.
+    #[arg(long, value_name = "RUN")]
+    out: PathBuf,
+    /// Updates of the weights; those of the settings if not given.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    updates: Option<u64>,
+    /// The seed; that of the settings if not given.
+    #[arg(long, value_name = "S")]
+    seed: Option<u64>,
+    /// Begin with these weights, not with random ones.
+    #[arg(long, value_name = "FILE")]
+    weights: Option<PathBuf>,
+    /// Updates from one checkpoint to the next.
+    #[arg(long, value_name = "K", default_value_t = 100, value_parser = clap::value_parser!(u64).range(1..))]
+    checkpoint: u64,
+    /// Leave out parts that cannot be read, with a warning.
+    #[arg(long)]
+    skip_damaged: bool,
+    /// Go on where an earlier run stopped.
+    #[arg(long)]
+    resume: bool,
+    /// Train anew in a directory that holds a run.
+    #[arg(long, conflicts_with = "resume")]
+    overwrite: bool,
+    /// Threads; all cores if not given.
+    #[arg(long, value_name = "T", value_parser = threads)]
+    threads: Option<usize>,
+    /// Print a JSON object at the end.
+    #[arg(long)]
+    json: bool,
+}
+
+pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
+    let mut config = Config::load(&args.config)?;
+    config.training.updates = args.updates.unwrap_or(config.training.updates);
+    config.training.seed = args.seed.unwrap_or(config.training.seed);
+    if let Some(folder) = &args.data {
+        config.data.train = Some(folder.join("train"));
+        config.data.valid = Some(folder.join("valid"));
+    }
+    let weights = match &args.weights {
+        None => config.first_weights(),
+        Some(path) => given_weights(path, &config)?,
+    };
+    thread_pool(args.threads)?.install(|| Run::new(args, config, weights, report)?.train())
+}
+
+/// Weights to begin with, which must be of the network of the settings.
+fn given_weights(path: &Path, config: &Config) -> Result<Weights> {
+    let given = fluvia_net::weights::load(path)?;
+    let expected = config.first_weights();
+    let shapes = |weights: &Weights| -> Vec<Vec<usize>> {
+        weights.tensors().into_iter().map(|tensor| tensor.shape).collect()
+    };
+    if shapes(&given) != shapes(&expected) || given.config != expected.config {
+        bail!("{}: weights of another network than that of the settings", path.display());
+    }
+    Ok(given)
+}
+
+/// A training that runs.
+struct Run<'a> {
+    args: &'a Args,
+    report: &'a Report,
+    config: Config,
+    trainer: Trainer,
+    place: Place,
+    loader: Loader,
+    validation: Option<Validation>,
+    log: Log,
+    bar: ProgressBar,
+    /// When this process began, and the seconds of those before.
+    start: (Instant, f64),
+}
+
+impl<'a> Run<'a> {
+    fn new(args: &'a Args, config: Config, weights: Weights, report: &'a Report) -> Result<Run<'a>> {
+        let folder = |folder: &Option<PathBuf>, name: &str| {
+            folder
+                .clone()
+                .with_context(|| format!("no data: expected --data, or `data.{name}` in the settings"))
+        };
+        let damaged = if args.skip_damaged { Damaged::Skip } else { Damaged::Stop };
+        let sampling = config.sampling(damaged);
+        let data = DataSet::open(&folder(&config.data.train, "train")?)?;
+        let validation = match &config.data.valid {
+            Some(valid) if valid.exists() => {
+                let data = DataSet::open(valid)?;
+                Some(Validation::read(&data, &sampling, config.validation.windows)?)
+            }
+            _ => {
+                report.warning("no validation data: the last weights count as the best");
+                None
+            }
+        };
+        let settings = settings(args, &config, &data);
+        let path = args.out.join(CHECKPOINT);
+        let options = config.options();
+        let (trainer, place) = if args.resume && path.exists() {
+            let Checkpoint { place, weights: values, adam, averages } =
+                Checkpoint::load(&path, &weights, options.adam)?;
+            let old: Value = serde_json::from_str(&place.settings)?;
+            if let Some((key, old, new)) = first_difference("", &old, &settings) {
+                bail!("{}: not the same training, its {key}: {old}, now: {new}", path.display());
+            }
+            let mut weights = weights;
+            weights.values_mut().into_iter().zip(&values).for_each(|(to, from)| to.copy_from_slice(from));
+            report
+                .note(format_args!("resuming after update {} of {}", place.updates, config.training.updates));
+            (Trainer::resume(options, weights, adam, averages, Kernel::detect())?, place)
+        } else {
+            if path.exists() && !args.overwrite {
+                bail!("{}: holds a training; expected --resume or --overwrite", args.out.display());
+            }
+            std::fs::create_dir_all(&args.out).with_context(|| args.out.display().to_string())?;
+            frames::write_json(&args.out.join(SETTINGS), &settings)?;
+            let place = Place { settings: settings.to_string(), ..Place::default() };
+            (Trainer::new(options, weights, Kernel::detect())?, place)
+        };
+        let loader = Loader::start(&data, sampling, place.position)?;
+        let log = Log::open(&args.out, place.updates)?;
+        let bar = report.bar_like(config.training.updates, "{bar:16} update {pos}/{len}, {msg}, {eta} left");
+        bar.set_position(place.updates);
+        bar.reset_eta();
+        let start = (Instant::now(), place.seconds);
+        Ok(Run { args, report, config, trainer, place, loader, validation, log, bar, start })
+    }
+
+    fn train(mut self) -> Result<ExitCode> {
+        let interrupted = Arc::new(AtomicBool::new(false));
+        let flag = Arc::clone(&interrupted);
+        ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("cannot watch for Ctrl-C")?;
+        let mut shown = None;
+        while self.place.updates < self.config.training.updates {
+            let Loaded { batch, next, skipped } = self.loader.take()?;
+            for message in skipped {
+                self.bar.suspend(|| self.report.warning(format_args!("left out: {message}")));
+            }
+            let begin = Instant::now();
+            let Progress { loss, gradient, rate } = self.trainer.step(&batch)?;
+            let particles = (batch.start.position.len() * batch.truth.len()) as u64;
+            let particles_per_s = particles as f64 / begin.elapsed().as_secs_f64().max(1e-9);
+            self.place.updates += 1;
+            self.place.position = next;
+            self.place.particle_samples += particles;
+            let updates = self.place.updates;
+            let last = updates == self.config.training.updates;
+            self.log.add(&Line::Train {
+                update: updates,
+                loss,
+                gradient,
+                rate: decimal(rate),
+                particles_per_s,
+            })?;
+            let smooth = shown.map_or(loss, |shown| SMOOTHING * shown + (1.0 - SMOOTHING) * loss);
+            shown = Some(smooth);
+            let thousand = particles_per_s / 1e3;
+            self.bar.set_message(format!("loss {smooth:.3}, rate {rate:.1e}, {thousand:.0}k particles/s"));
+            self.bar.inc(1);
+            if updates.is_multiple_of(self.config.validation.every) || last {
+                self.validate()?;
+            }
+            let stop = interrupted.load(Ordering::Relaxed);
+            if updates.is_multiple_of(self.args.checkpoint) || last || stop {
+                self.save()?;
+            }
+            if stop && !last {
+                self.bar.finish_and_clear();
+                self.report.note(format_args!("stopped after update {updates}; --resume goes on"));
+                return Ok(ExitCode::from(INTERRUPTED));
+            }
+        }
+        self.bar.finish_and_clear();
+        self.end()
+    }
+
+    /// The errors on the validation windows; the best weights are kept.
+    fn validate(&mut self) -> Result<()> {
+        let weights = self.result();
+        let Some(validation) = &self.validation else { return Ok(()) };
+        let errors = validation.errors(&weights, &self.config.options(), Kernel::detect())?;
+        let mm = |step: usize| 1e3 * errors.position.get(step).copied().unwrap_or_default();
+        let update = self.place.updates;
+        let line = Line::Valid { update, loss: errors.loss, err_n1_mm: mm(0), err_n2_mm: mm(1) };
+        self.log.add(&line)?;
+        let judged = errors.position.last().copied().unwrap_or(f64::INFINITY);
+        if self.place.best.is_none_or(|(_, best)| judged < best) {
+            self.place.best = Some((update, judged));
+            save_safetensors(self.args.out.join(BEST), &weights)?;
+        }
+        Ok(())
+    }
+
+    /// The weights to use, with a record of their training.
+    fn result(&self) -> Weights {
+        let training = json!({
+            "updates": self.place.updates,
+            "particle_samples": self.place.particle_samples,
+            "seconds": self.seconds().round(),
+            "settings": serde_json::from_str::<Value>(&self.place.settings).unwrap_or_default(),
+        });
+        Weights { training: Some(training.to_string()), ..self.trainer.result() }
+    }
+
+    fn seconds(&self) -> f64 {
+        self.start.1 + self.start.0.elapsed().as_secs_f64()
+    }
+
+    fn save(&mut self) -> Result<()> {
+        self.place.seconds = self.seconds();
+        let weights = self.trainer.weights();
+        let adam: Adam = self.trainer.adam().clone();
+        let checkpoint = Checkpoint {
+            place: self.place.clone(),
+            weights: weights.tensors().iter().map(|tensor| tensor.values.to_vec()).collect(),
+            adam,
+            averages: self.trainer.averages().map(<[_]>::to_vec),
+        };
+        save_safetensors(self.args.out.join(WEIGHTS), &self.result())?;
+        checkpoint.save(&self.args.out.join(CHECKPOINT), weights)?;
+        Ok(())
+    }
+
+    fn end(&self) -> Result<ExitCode> {
+        let out = self.args.out.join(WEIGHTS);
+        let Place { updates, particle_samples, best, .. } = self.place;
+        if self.args.json {
+            self.report.result(json!({
+                "updates": updates,
+                "particle_samples": particle_samples,
+                "seconds": self.seconds(),
+                "best_update": best.map(|best| best.0),
+                "best_err_mm": best.map(|best| 1e3 * best.1),
+                "weights": out,
+            }))?;
+        } else if !self.report.is_quiet() {
+            self.report.result(format_args!("{}: {updates} updates", out.display()))?;
+            if let Some((update, error)) = best {
+                self.report.result(format_args!(
+                    "lowest validation error {:.3} mm after update {update}",
+                    1e3 * error
+                ))?;
+            }
+        }
+        Ok(ExitCode::SUCCESS)
+    }
+}
+
+/// What the bits of a training depend on.
+fn settings(args: &Args, config: &Config, data: &DataSet) -> Value {
+    let mut value = serde_json::to_value(config).unwrap_or_default();
+    value["data"]["parts"] = json!(data.parts().len());
+    value["data"]["frames"] = json!(data.parts().iter().map(|part| part.frames).sum::<usize>());
+    value["first_weights"] = json!(args.weights);
+    value["version"] = json!(env!("CARGO_PKG_VERSION"));
+    value
+}
+
+/// How much of the shown loss stays from one update to the next.
+const SMOOTHING: f64 = 0.98;

@@ -1,0 +1,343 @@
+//! The settings of a training, as they are in a configuration file (TOML).
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use cconv::PositionGradient;
+use fluvia_net::adam;
+use fluvia_net::config::{Config as NetworkConfig, Integration};
+use fluvia_net::dataset::{Damaged, Sampling};
+use fluvia_net::loss::Loss;
+use fluvia_net::train::{Options, Schedule};
+use fluvia_net::unroll::Storage;
+use fluvia_net::weights::Weights;
+use serde::{Deserialize, Serialize};
+
+use crate::options::PrecisionName;
+
+/// A configuration file. What a file does not say is as in the published training.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Config {
+    pub data: Data,
+    pub network: Network,
+    pub loss: LossSettings,
+    pub training: Training,
+    pub rate: Rate,
+    pub optimizer: Optimizer,
+    pub validation: Validation,
+}
+
+/// Where the data are; relative paths are relative to the working directory.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Data {
+    /// The folder of the training sequences.
+    pub train: Option<PathBuf>,
+    /// The folder of the validation sequences.
+    pub valid: Option<PathBuf>,
+}
+
+/// The network that is trained, and what its data are of.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Network {
+    pub integration: IntegrationName,
+    /// Channels of each of the three parts of the first layer.
+    pub first: usize,
+    /// Channels of the layers between the first and the last.
+    pub hidden: Vec<usize>,
+    /// Whether the viscosity of a particle is an input.
+    pub viscosity: bool,
+    /// Seconds between frames.
+    pub dt: f32,
+    /// Metres per second squared.
+    pub gravity: [f32; 3],
+}
+
+impl Default for Network {
+    fn default() -> Network {
+        let NetworkConfig { dt, gravity, .. } = NetworkConfig::default();
+        let integration = IntegrationName::Paper;
+        Network { integration, first: 32, hidden: vec![64, 64], viscosity: false, dt, gravity }
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum IntegrationName {
+    Paper,
+    Velocity,
+}
+
+/// Eq. 16.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct LossSettings {
+    /// c, neighbours; 0 counts all particles alike.
+    pub neighbors: f32,
+    /// γ.
+    pub exponent: f32,
+    /// Whether velocities count beside positions.
+    pub velocity: bool,
+}
+
+impl Default for LossSettings {
+    fn default() -> LossSettings {
+        let Loss { neighbor_scale, exponent, velocity } = Loss::default();
+        LossSettings { neighbors: neighbor_scale.unwrap_or_default(), exponent, velocity }
+    }
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Training {
+    /// Updates of the weights.
+    pub updates: u64,
+    /// Windows of a batch.
+    pub batch: usize,
+    /// Steps of the network from the start of a window.
+    pub steps: usize,
+    /// Seed of the first weights, of the order of the data and of rotations.
+    pub seed: u64,
+    /// Whether windows are turned about the axis of gravity at random.
+    pub rotate: bool,
+    pub precision: PrecisionName,
+    /// How much of the averaged weights stays in an update; 0 averages nothing.
+    pub average: f32,
+    /// Whether gradients go through the positions inside the network.
+    pub positions: bool,
+    /// Whether activations are computed again for the backward pass: less memory for many steps.
+    pub recompute: bool,
+    /// Parts of sequences that are together in memory.
+    pub group: usize,
+}
+
+impl Default for Training {
+    fn default() -> Training {
+        Training {
+            updates: 50_000,
+            batch: 16,
+            steps: 2,
+            seed: 0,
+            rotate: true,
+            precision: PrecisionName::F32,
+            average: 0.0,
+            positions: false,
+            recompute: false,
+            group: 16,
+        }
+    }
+}
+
+/// The rate of learning.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, tag = "kind", rename_all = "lowercase")]
+pub enum Rate {
+    /// That of the paper: 1e-3, halved at 20,000, 25,000, ... 45,000.
+    Paper,
+    /// That of the published scripts, which halve first at 25,000.
+    #[default]
+    Published,
+    /// Multiplied by a factor at some updates.
+    Steps { highest: f32, factor: f32, at: Vec<u64> },
+    /// Rises linearly for some updates, falls to zero along half a cosine.
+    Cosine { highest: f32, warmup: u64 },
+}
+
+/// Adam.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Optimizer {
+    pub beta1: f32,
+    pub beta2: f32,
+    pub epsilon: f32,
+}
+
+impl Default for Optimizer {
+    fn default() -> Optimizer {
+        let adam::Params { beta1, beta2, epsilon } = adam::Params::default();
+        Optimizer { beta1, beta2, epsilon }
+    }
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Validation {
+    /// Updates from one validation to the next.
+    pub every: u64,
+    /// Windows that it takes, evenly from all there are.
+    pub windows: usize,
+}
+
+impl Default for Validation {
+    fn default() -> Validation {
+        Validation { every: 500, windows: 64 }
+    }
+}
+
+/// Room around the fluid of a window within which wall particles are kept beside the filter radius, metres: predictions
+/// are not exact.
+const WALL_SLACK: f32 = 0.2;
+
+impl Config {
+    /// Reads a configuration file.
+    ///
+    /// # Errors
+    /// If it cannot be read or parsed, has an unknown key, or a value is out of range.
+    pub fn load(path: &Path) -> Result<Config> {
+        let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
+        Config::parse(&text).with_context(|| path.display().to_string())
+    }
+
+    fn parse(text: &str) -> Result<Config> {
+        let config: Config = toml::from_str(text).map_err(|error| {
+            let line = error.span().map(|span| 1 + text[..span.start].matches('\n').count());
+            let line = line.map_or(String::new(), |line| format!("line {line}: "));
+            anyhow::anyhow!("{line}{}", error.message())
+        })?;
+        config.check()?;
+        Ok(config)
+    }
+
+    /// Makes sure that every value can be what it is.
+    ///
+    /// # Errors
+    /// One line that names the key, what it is and what was expected.
+    pub fn check(&self) -> Result<()> {
+        let Config { network, loss, training, optimizer, validation, .. } = self;
+        let counts = [
+            ("network.first", network.first as u64),
+            ("training.updates", training.updates),
+            ("training.batch", training.batch as u64),
+            ("training.steps", training.steps as u64),
+            ("training.group", training.group as u64),
+            ("validation.every", validation.every),
+            ("validation.windows", validation.windows as u64),
+        ];
+        if let Some((key, _)) = counts.into_iter().find(|(_, count)| *count == 0) {
+            bail!("`{key}`: 0, expected at least 1");
+        }
+        if network.hidden.contains(&0) {
+            bail!("`network.hidden`: {:?}, expected at least 1 channel a layer", network.hidden);
+        }
+        let (mut positive, mut parts) = (vec![("loss.exponent", loss.exponent)], Vec::new());
+        positive.push(("network.dt", network.dt));
+        positive.push(("optimizer.epsilon", optimizer.epsilon));
+        match self.rate {
+            Rate::Steps { highest, factor, .. } => {
+                positive.extend([("rate.highest", highest), ("rate.factor", factor)]);
+            }
+            Rate::Cosine { highest, .. } => positive.push(("rate.highest", highest)),
+            Rate::Paper | Rate::Published => {}
+        }
+        if let Some((key, value)) = positive.iter().find(|(_, value)| !(value.is_finite() && *value > 0.0)) {
+            bail!("`{key}`: {value}, expected a number above 0");
+        }
+        parts.extend([("optimizer.beta1", optimizer.beta1), ("optimizer.beta2", optimizer.beta2)]);
+        parts.push(("training.average", training.average));
+        if let Some((key, value)) = parts.iter().find(|(_, value)| !(0.0..1.0).contains(value)) {
+            bail!("`{key}`: {value}, expected a number from 0 to below 1");
+        }
+        if !(loss.neighbors.is_finite() && loss.neighbors >= 0.0) {
+            bail!("`loss.neighbors`: {}, expected a number of at least 0", loss.neighbors);
+        }
+        if loss.velocity && network.integration == IntegrationName::Paper {
+            bail!(
+                "`loss.velocity`: true, but with `network.integration` \"paper\" velocities follow from positions"
+            );
+        }
+        Ok(())
+    }
+
+    /// The weights that the training begins with.
+    pub fn first_weights(&self) -> Weights {
+        let Network { integration, first, hidden, viscosity, dt, gravity } = &self.network;
+        let config = NetworkConfig {
+            extra_inputs: if *viscosity { vec!["viscosity".into()] } else { Vec::new() },
+            dt: *dt,
+            gravity: *gravity,
+            integration: match integration {
+                IntegrationName::Paper => Integration::Paper,
+                IntegrationName::Velocity => Integration::Velocity,
+            },
+            ..NetworkConfig::default()
+        };
+        Weights::random(config, *first, hidden, self.training.seed)
+    }
+
+    pub fn options(&self) -> Options {
+        let Config { loss, training, optimizer, .. } = self;
+        Options {
+            loss: Loss {
+                neighbor_scale: (loss.neighbors > 0.0).then_some(loss.neighbors),
+                exponent: loss.exponent,
+                velocity: loss.velocity,
+            },
+            schedule: match &self.rate {
+                Rate::Paper => Schedule::paper(),
+                Rate::Published => Schedule::published(),
+                Rate::Steps { highest, factor, at } => {
+                    Schedule::Steps { rate: *highest, factor: *factor, at: at.clone() }
+                }
+                &Rate::Cosine { highest, warmup } => {
+                    Schedule::Cosine { rate: highest, warmup, updates: training.updates }
+                }
+            },
+            adam: adam::Params { beta1: optimizer.beta1, beta2: optimizer.beta2, epsilon: optimizer.epsilon },
+            average: (training.average > 0.0).then_some(training.average),
+            positions: if training.positions { PositionGradient::Full } else { PositionGradient::Stop },
+            storage: if training.recompute { Storage::Recompute } else { Storage::Keep },
+            precision: training.precision.into(),
+        }
+    }
+
+    pub fn sampling(&self, damaged: Damaged) -> Sampling {
+        let Training { seed, batch, steps, group, rotate, .. } = self.training;
+        Sampling {
+            seed,
+            batch,
+            steps,
+            group,
+            axis: rotate.then_some(self.network.gravity),
+            viscosity: self.network.viscosity,
+            reach: NetworkConfig::default().filter_radius + WALL_SLACK,
+            damaged,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_file_does_not_say_is_published() {
+        let config = Config::parse("").unwrap();
+        assert_eq!(config, Config::default());
+        assert_eq!((config.training.updates, config.training.batch), (50_000, 16));
+        assert_eq!(config.options().schedule, Schedule::published());
+        // As it is recorded.
+        let value = serde_json::to_value(&config).unwrap();
+        assert_eq!(serde_json::from_value::<Config>(value).unwrap(), config);
+    }
+
+    #[test]
+    fn faults_name_the_key() {
+        for (text, words) in [
+            ("[training]\nupdate = 5", vec!["line 2", "`update`", "`updates`"]),
+            ("[training]\nupdates = 0", vec!["`training.updates`", "at least 1"]),
+            ("[training]\nupdates = -1", vec!["line 2"]),
+            ("[loss]\nexponent = nan", vec!["`loss.exponent`"]),
+            ("[optimizer]\nbeta2 = 1.0", vec!["`optimizer.beta2`", "below 1"]),
+            ("[rate]\nkind = \"linear\"", vec!["linear", "cosine"]),
+            ("[loss]\nvelocity = true", vec!["`loss.velocity`", "paper"]),
+            ("[network]\nhidden = [64, 0]", vec!["`network.hidden`"]),
+            ("[network", vec!["line 1"]),
+        ] {
+            let fault = format!("{:#}", Config::parse(text).unwrap_err());
+            assert!(words.iter().all(|word| fault.contains(word)), "{text:?}: {fault}");
+            assert_eq!(fault.lines().count(), 1, "{fault}");
+        }
+    }
+}

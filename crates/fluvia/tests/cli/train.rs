@@ -1,0 +1,146 @@
+//! `fluvia train`: the same weights however often it is stopped, and what it refuses.
+
+use std::process::Stdio;
+use std::time::Duration;
+
+use crate::common::Folder;
+
+const DATA: &str = "generate --preset default --scenes 2 --valid 1 --duration 0.3 --particles 1000..1200 \
+                    --solver-dt-max 0.005 --out data --quiet";
+
+/// A small network, a mean of weights, few updates.
+const CONFIG: &str = "\
+[network]
+integration = \"velocity\"
+first = 4
+hidden = [4]
+[loss]
+velocity = true
+[training]
+updates = 24
+batch = 2
+average = 0.9
+[rate]
+kind = \"cosine\"
+highest = 0.01
+warmup = 4
+[validation]
+every = 6
+windows = 3
+";
+
+fn folder() -> Folder {
+    let folder = Folder::new();
+    folder.succeed(DATA);
+    folder.write("config.toml", CONFIG);
+    folder
+}
+
+/// The numbers of a safetensors file: what follows the header, which has the time of training.
+fn numbers(folder: &Folder, name: &str) -> Vec<u8> {
+    let bytes = std::fs::read(folder.path(name)).expect("a file of weights");
+    let header = u64::from_le_bytes(*bytes.first_chunk().expect("a length")) as usize;
+    bytes[8 + header..].to_vec()
+}
+
+fn lines(folder: &Folder, run: &str) -> Vec<serde_json::Value> {
+    let text = std::fs::read_to_string(folder.path(&format!("{run}/metrics.jsonl"))).expect("lines");
+    let mut lines: Vec<serde_json::Value> =
+        text.lines().map(|line| serde_json::from_str(line).expect("JSON")).collect();
+    // The only number that depends on the clock.
+    lines.iter_mut().for_each(|line| line["particles_per_s"] = 0.into());
+    lines
+}
+
+#[test]
+fn a_killed_training_ends_with_the_same_weights() {
+    let folder = folder();
+    folder.succeed("train config.toml --data data --out whole");
+    let whole = numbers(&folder, "whole/weights.safetensors");
+    let mut killed = 0;
+    for k in 0..30u64 {
+        let resume = if k == 0 { "" } else { "--resume" };
+        let threads = 1 + k % 2;
+        let mut command = folder.command(&format!(
+            "train config.toml --data data --out killed --checkpoint 3 --threads {threads} --quiet {resume}"
+        ));
+        let mut child = command.stderr(Stdio::null()).stdout(Stdio::null()).spawn().unwrap();
+        std::thread::sleep(Duration::from_millis(60 + 83 * (k * k % 11)));
+        if child.try_wait().unwrap().is_some() {
+            break;
+        }
+        child.kill().unwrap();
+        child.wait().unwrap();
+        killed += 1;
+    }
+    println!("killed {killed} times");
+    folder.succeed("train config.toml --data data --out killed --resume");
+    assert!(numbers(&folder, "killed/weights.safetensors") == whole);
+    assert!(numbers(&folder, "killed/best.safetensors") == numbers(&folder, "whole/best.safetensors"));
+    assert_eq!(lines(&folder, "killed"), lines(&folder, "whole"));
+    // Done: nothing changes.
+    folder.succeed("train config.toml --data data --out killed --resume");
+    assert!(numbers(&folder, "killed/weights.safetensors") == whole);
+    assert_eq!(lines(&folder, "killed"), lines(&folder, "whole"));
+    // The weights are those of a network that moves fluids.
+    folder.succeed("simulate dam_break --weights whole/weights.safetensors --steps 2 --out run");
+}
+
+#[test]
+fn the_loss_falls_and_is_recorded() {
+    let folder = folder();
+    let printed = folder.succeed("train config.toml --data data --out run --json").last_json();
+    assert_eq!(printed["updates"], 24);
+    let lines = lines(&folder, "run");
+    let losses: Vec<f64> =
+        lines.iter().filter(|l| l["kind"] == "valid").map(|l| l["loss"].as_f64().unwrap()).collect();
+    assert_eq!(losses.len(), 4);
+    assert!(losses[3] < losses[0], "{losses:?}");
+    let best = printed["best_update"].as_u64().unwrap();
+    let errors = |update: u64| {
+        let line = lines.iter().find(|l| l["kind"] == "valid" && l["update"] == update).unwrap();
+        line["err_n2_mm"].as_f64().unwrap()
+    };
+    assert!([6, 12, 18, 24].iter().all(|&update| errors(best) <= errors(update)));
+    let events = std::fs::read_dir(folder.path("run")).unwrap().filter(|entry| {
+        entry.as_ref().unwrap().file_name().to_string_lossy().starts_with("events.out.tfevents.")
+    });
+    assert_eq!(events.count(), 1);
+}
+
+#[test]
+fn what_is_refused() {
+    let folder = folder();
+    folder.succeed("train config.toml --data data --out run --updates 1");
+    folder.fail("train config.toml --data data --out run --updates 1", &["run", "--resume or --overwrite"]);
+    folder.fail(
+        "train config.toml --data data --out run --updates 2 --resume",
+        &["training.updates: 1, now: 2"],
+    );
+    folder.write("wider.toml", CONFIG.replace("first = 4", "first = 5"));
+    folder.fail("train wider.toml --data data --out run --updates 1 --resume", &["another network"]);
+    folder.write("typo.toml", CONFIG.replace("batch", "bach"));
+    folder.fail("train typo.toml --data data --out new", &["typo.toml", "line 9", "`bach`"]);
+    folder.write("zero.toml", CONFIG.replace("batch = 2", "batch = 0"));
+    folder.fail("train zero.toml --data data --out new", &["zero.toml", "`training.batch`", "at least 1"]);
+    folder.fail("train config.toml --data nothing --out new", &["nothing"]);
+    folder.fail("train config.toml --out new", &["--data", "data.train"]);
+    std::fs::create_dir_all(folder.path("empty/train")).unwrap();
+    folder.fail("train config.toml --data empty --out new", &["empty/train", "no sequence"]);
+    assert!(!folder.path("new").exists());
+    // A damaged part is named, and left out where that is wished.
+    let part = folder.path("data/train/sim_0002_00.msgpack.zst");
+    let bytes = std::fs::read(&part).unwrap();
+    std::fs::write(&part, &bytes[..bytes.len() - 20]).unwrap();
+    folder.fail("train config.toml --data data --out damaged", &["sim_0002_00.msgpack.zst"]);
+    let run = folder.succeed("train config.toml --data data --out left --skip-damaged");
+    assert!(run.stderr.contains("sim_0002_00.msgpack.zst"), "{}", run.stderr);
+    // A checkpoint that is cut short.
+    let checkpoint = folder.path("run/checkpoint.safetensors");
+    let bytes = std::fs::read(&checkpoint).unwrap();
+    std::fs::write(&checkpoint, &bytes[..bytes.len() / 2]).unwrap();
+    folder.fail(
+        "train config.toml --data data --out run --updates 1 --resume",
+        &["run/checkpoint.safetensors"],
+    );
+}
