@@ -9,7 +9,7 @@
 
 use fluvia_sim::frames::sequence::{Frame, Sequence};
 use fluvia_sim::metrics::{self, distance_to_closest, first_non_finite};
-use fluvia_sim::particles::{Acceleration, Boundary, Particles};
+use fluvia_sim::particles::{Acceleration, Particles};
 use fluvia_sim::rollout::Solver;
 
 use crate::Result;
@@ -162,11 +162,6 @@ pub fn lone_acceleration(solver: &mut dyn Solver, gravity: [f32; 3], dt: f32) ->
     Ok(particles.velocity[0].map(|v| f64::from(v) / f64::from(FRAMES as f32 * dt)))
 }
 
-/// No walls.
-pub fn no_walls() -> Boundary {
-    Boundary::default()
-}
-
 /// The mean of the values, `None` if one is missing or there are none.
 pub fn mean(values: impl Iterator<Item = Option<f64>>) -> Option<f64> {
     let values: Option<Vec<f64>> = values.collect();
@@ -179,7 +174,7 @@ fn particles_of(frame: &Frame) -> Particles {
 }
 
 /// The mean of |a_i − b_i|, metres.
-fn mean_distance(a: &[[f32; 3]], b: &[[f32; 3]]) -> f64 {
+pub(crate) fn mean_distance(a: &[[f32; 3]], b: &[[f32; 3]]) -> f64 {
     let distance = |(a, b): (&[f32; 3], &[f32; 3])| {
         (0..3).map(|axis| f64::from(a[axis] - b[axis]).powi(2)).sum::<f64>().sqrt()
     };

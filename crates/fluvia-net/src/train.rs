@@ -8,6 +8,7 @@ use cconv::{Kernel, PositionGradient, Precision};
 use fluvia_sim::particles::Acceleration;
 
 use crate::adam::{Adam, average};
+use crate::checkpoint::{Checkpoint, Place};
 use crate::dataset::Batch;
 use crate::integrate::State;
 use crate::loss::Loss;
@@ -114,9 +115,10 @@ impl Trainer {
         &self.adam
     }
 
-    /// The averages.
-    pub fn averages(&self) -> Option<&[Vec<f32>]> {
-        self.averages.as_deref()
+    /// What [`Trainer::resume`] goes on from.
+    pub fn checkpoint(&self, place: Place) -> Checkpoint {
+        let (adam, averages) = (self.adam.clone(), self.averages.clone());
+        Checkpoint { place, weights: values(&self.weights), adam, averages }
     }
 
     /// The weights to use: averaged, if they are.

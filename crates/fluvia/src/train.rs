@@ -20,7 +20,6 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 use cconv::Kernel;
-use fluvia_net::adam::Adam;
 use fluvia_net::checkpoint::{Checkpoint, Place};
 use fluvia_net::dataset::{Damaged, DataSet, Loaded, Loader};
 use fluvia_net::train::{Progress, Trainer, Validation};
@@ -268,16 +267,9 @@ impl<'a> Run<'a> {
 
     fn save(&mut self) -> Result<()> {
         self.place.seconds = self.seconds();
-        let weights = self.trainer.weights();
-        let adam: Adam = self.trainer.adam().clone();
-        let checkpoint = Checkpoint {
-            place: self.place.clone(),
-            weights: weights.tensors().iter().map(|tensor| tensor.values.to_vec()).collect(),
-            adam,
-            averages: self.trainer.averages().map(<[_]>::to_vec),
-        };
         save_safetensors(self.args.out.join(WEIGHTS), &self.result())?;
-        checkpoint.save(&self.args.out.join(CHECKPOINT), weights)?;
+        let checkpoint = self.trainer.checkpoint(self.place.clone());
+        checkpoint.save(&self.args.out.join(CHECKPOINT), self.trainer.weights())?;
         Ok(())
     }
 

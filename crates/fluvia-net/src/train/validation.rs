@@ -7,6 +7,7 @@ use fluvia_sim::particles::Acceleration;
 use super::Options;
 use crate::Result;
 use crate::dataset::{Batch, DataSet, Rotation, Sampling};
+use crate::evaluate::mean_distance;
 use crate::net::{Activations, Memory, Network};
 use crate::step::{Step, World};
 use crate::weights::Weights;
@@ -97,12 +98,8 @@ impl Validation {
                 }
                 step.correct(&network, &mut state.position, &mut state.velocity);
                 for cloud in batch.clouds.windows(2) {
-                    let pairs = state.position[cloud[0]..cloud[1]].iter().zip(&truth.position[cloud[0]..]);
-                    let distance = |(a, b): (&[f32; 3], &[f32; 3])| {
-                        (0..3).map(|k| f64::from(a[k] - b[k]).powi(2)).sum::<f64>().sqrt()
-                    };
-                    *error +=
-                        pairs.map(distance).sum::<f64>() / (cloud[1] - cloud[0]).max(1) as f64 / windows;
+                    let rows = cloud[0]..cloud[1];
+                    *error += mean_distance(&state.position[rows.clone()], &truth.position[rows]) / windows;
                 }
                 neighbors.push(step.neighbor_counts());
                 states.push(state.clone());
