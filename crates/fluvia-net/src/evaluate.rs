@@ -7,7 +7,9 @@
 //!
 //! A frame that is not finite is counted, never dropped: what it would be part of has no value.
 
-use fluvia_sim::frames::sequence::{Frame, Sequence};
+use std::ops::Range;
+
+use fluvia_sim::frames::sequence::Sequence;
 use fluvia_sim::metrics::{self, distance_to_closest, first_non_finite};
 use fluvia_sim::particles::{Acceleration, Particles};
 use fluvia_sim::rollout::Solver;
@@ -22,6 +24,29 @@ const AFTER_START: u64 = 3;
 
 /// A rollout is unstable from the first frame on in which a particle is faster, metres per second.
 const UNSTABLE_SPEED: f32 = 20.0;
+
+/// The frames that a solver is compared with.
+pub trait Truth {
+    /// Their numbers.
+    fn frames(&self) -> Range<u64>;
+
+    /// The particles of a frame, the same ones in the same order in all.
+    ///
+    /// # Errors
+    /// If the frame cannot be read, or has other particles.
+    fn particles(&mut self, number: u64) -> Result<Particles>;
+}
+
+impl Truth for Sequence {
+    fn frames(&self) -> Range<u64> {
+        Sequence::frames(self)
+    }
+
+    fn particles(&mut self, number: u64) -> Result<Particles> {
+        let frame = self.frame(number)?;
+        Ok(Particles::of_one_body(frame.position.clone(), frame.velocity.clone()))
+    }
+}
 
 /// One-step errors from one start, metres; `None` where a number is not finite.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -66,20 +91,20 @@ impl Judged<'_> {
     /// As the solver, and if a frame cannot be read.
     pub fn start_errors(
         &mut self,
-        sequence: &mut Sequence,
+        truth: &mut impl Truth,
         mut done: impl FnMut(),
     ) -> Result<Vec<StartErrors>> {
-        let frames = sequence.frames();
+        let frames = truth.frames();
         let mut starts = Vec::new();
         let mut start = frames.start;
         while start + AFTER_START < frames.end {
-            let mut particles = particles_of(sequence.frame(start)?);
+            let mut particles = truth.particles(start)?;
             let mut errors = [None; 2];
             for (k, error) in (1..).zip(&mut errors) {
                 if !self.step(&mut particles)? {
                     break;
                 }
-                *error = Some(mean_distance(&particles.position, &sequence.frame(start + k)?.position));
+                *error = Some(mean_distance(&particles.position, &truth.particles(start + k)?.position));
             }
             starts.push(StartErrors { frame: start, errors });
             start += EVERY;
@@ -88,32 +113,31 @@ impl Judged<'_> {
         Ok(starts)
     }
 
-    /// A rollout from the first frame, as long as the sequence is. `observe` sees every frame of it, the first included,
+    /// A rollout from the first frame, as long as the truth is. `observe` sees every frame of it, the first included,
     /// until one is not finite, with the true one; it gives what it wants kept.
     ///
     /// # Errors
     /// As the solver, `observe`, and if a frame cannot be read.
     pub fn roll_out(
         &mut self,
-        sequence: &mut Sequence,
-        mut observe: impl FnMut(&Particles, &Frame) -> Result<()>,
+        truth: &mut impl Truth,
+        mut observe: impl FnMut(&Particles, &Particles) -> Result<()>,
     ) -> Result<Rolled> {
-        let frames = sequence.frames();
-        let first = sequence.frame(frames.start)?;
-        let mut particles = particles_of(first);
-        observe(&particles, first)?;
+        let frames = truth.frames();
+        let mut before = truth.particles(frames.start)?;
+        let mut particles = before.clone();
+        observe(&particles, &before)?;
         let mut rolled = Rolled::default();
-        let mut before = first.position.clone();
         for number in frames.start + 1..frames.end {
             let finite = rolled.non_finite_frames == 0 && self.step(&mut particles)?;
-            let truth = sequence.frame(number)?;
+            let exact = truth.particles(number)?;
             rolled.non_finite_frames += u64::from(!finite);
             let is_unstable = !finite || metrics::highest_speed(&particles.velocity) > UNSTABLE_SPEED;
             if is_unstable && rolled.unstable_from.is_none() {
                 rolled.unstable_from = Some(number);
             }
             if finite {
-                observe(&particles, truth)?;
+                observe(&particles, &exact)?;
             }
             let passed = number - frames.start;
             let between =
@@ -121,14 +145,14 @@ impl Judged<'_> {
             if passed.is_multiple_of(EVERY) {
                 rolled.compared.push(Compared {
                     frame: number,
-                    distance: between(&truth.position, &particles.position),
-                    distance_back: between(&particles.position, &truth.position),
+                    distance: between(&exact.position, &particles.position),
+                    distance_back: between(&particles.position, &exact.position),
                 });
             }
             if passed > EVERY && (passed - 1).is_multiple_of(EVERY) {
-                rolled.published.push(between(&before, &particles.position));
+                rolled.published.push(between(&before.position, &particles.position));
             }
-            before.clone_from(&truth.position);
+            before = exact;
         }
         Ok(rolled)
     }
@@ -168,15 +192,86 @@ pub fn mean(values: impl Iterator<Item = Option<f64>>) -> Option<f64> {
     values.filter(|values| !values.is_empty()).map(|values| values.iter().sum::<f64>() / values.len() as f64)
 }
 
-/// A frame as particles of one body.
-fn particles_of(frame: &Frame) -> Particles {
-    Particles::of_one_body(frame.position.clone(), frame.velocity.clone())
-}
-
 /// The mean of |a_i − b_i|, metres.
 pub(crate) fn mean_distance(a: &[[f32; 3]], b: &[[f32; 3]]) -> f64 {
     let distance = |(a, b): (&[f32; 3], &[f32; 3])| {
         (0..3).map(|axis| f64::from(a[axis] - b[axis]).powi(2)).sum::<f64>().sqrt()
     };
     a.iter().zip(b).map(distance).sum::<f64>() / a.len().max(1) as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use fluvia_sim::rollout::StepInfo;
+
+    use super::*;
+
+    /// Two particles that move by 1 m a frame along x.
+    struct Line(Range<u64>);
+
+    impl Truth for Line {
+        fn frames(&self) -> Range<u64> {
+            self.0.clone()
+        }
+
+        fn particles(&mut self, number: u64) -> Result<Particles> {
+            let position = vec![[number as f32, 0.0, 0.0], [number as f32, 100.0, 0.0]];
+            Ok(Particles::of_one_body(position, vec![[1.0, 0.0, 0.0]; 2]))
+        }
+    }
+
+    /// Moves particles by a length along x, until the given x is reached: then one is nowhere.
+    struct Mover(f32, f32);
+
+    impl Solver for Mover {
+        fn name(&self) -> &'static str {
+            "mover"
+        }
+
+        fn step(
+            &mut self,
+            particles: &mut Particles,
+            _: Acceleration<'_>,
+            _: f32,
+        ) -> fluvia_sim::Result<StepInfo> {
+            for x in &mut particles.position {
+                x[0] += self.0;
+                x[0] = if x[0] < self.1 { x[0] } else { f32::NAN };
+            }
+            Ok(StepInfo::default())
+        }
+    }
+
+    fn judged(solver: &mut Mover) -> Judged<'_> {
+        Judged { solver, gravity: [0.0; 3], dt: 0.02 }
+    }
+
+    #[test]
+    fn errors_grow_with_the_steps() {
+        let starts = judged(&mut Mover(1.25, 1e9)).start_errors(&mut Line(3..17), || ()).unwrap();
+        // 13 + 3 is the last frame.
+        assert_eq!(starts.iter().map(|start| start.frame).collect::<Vec<_>>(), [3, 8, 13]);
+        assert!(starts.iter().all(|start| start.errors == [Some(0.25), Some(0.5)]), "{starts:?}");
+        let rolled = judged(&mut Mover(1.25, 1e9)).roll_out(&mut Line(3..17), |_, _| Ok(())).unwrap();
+        let frames: Vec<_> = rolled.compared.iter().map(|one| (one.frame, one.distance)).collect();
+        assert_eq!(frames, [(8, Some(1.25)), (13, Some(2.5))]);
+        // Six and eleven predictions against five and ten true steps.
+        assert_eq!(rolled.published, [Some(2.5), Some(3.75)]);
+        assert_eq!((rolled.non_finite_frames, rolled.unstable_from), (0, None));
+    }
+
+    #[test]
+    fn frames_that_are_not_finite_are_counted() {
+        let mut seen = 0;
+        let observe = |_: &Particles, _: &Particles| {
+            seen += 1;
+            Ok(())
+        };
+        let rolled = judged(&mut Mover(1.0, 6.5)).roll_out(&mut Line(0..12), observe).unwrap();
+        assert_eq!((rolled.non_finite_frames, rolled.unstable_from, seen), (5, Some(7), 7));
+        assert_eq!(rolled.compared.iter().map(|one| one.distance).collect::<Vec<_>>(), [Some(0.0), None]);
+        assert_eq!(mean(rolled.compared.iter().map(|one| one.distance)), None);
+        let starts = judged(&mut Mover(1.0, 6.5)).start_errors(&mut Line(0..12), || ()).unwrap();
+        assert_eq!(starts[1].errors, [Some(0.0), None]);
+    }
 }

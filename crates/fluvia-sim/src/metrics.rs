@@ -97,7 +97,7 @@ pub fn potential_energy(positions: &[[f32; 3]], gravity: [f32; 3]) -> f64 {
 
 /// The root mean square horizontal distance from the centre of mass, metres; `None` without particles.
 pub fn spread(positions: &[[f32; 3]]) -> Option<f64> {
-    let center = center_of_mass(positions)?;
+    let center = mean_vector(positions)?;
     let squared = |x: &[f32; 3]| [0, 2].map(|a| (f64::from(x[a]) - center[a]).powi(2)).iter().sum::<f64>();
     Some(mean(positions.iter().map(squared)).sqrt())
 }
@@ -138,10 +138,16 @@ pub fn median(mut values: Vec<f32>) -> Option<f32> {
     values.get(values.len() / 2).copied()
 }
 
-/// The mean position, metres; `None` without particles.
-pub fn center_of_mass(positions: &[[f32; 3]]) -> Option<[f64; 3]> {
-    let along = |axis: usize| mean(positions.iter().map(|point| f64::from(point[axis])));
-    (!positions.is_empty()).then(|| std::array::from_fn(along))
+/// The mean of vectors: of positions the centre of mass, metres; of velocities the momentum per mass, metres per second.
+/// `None` without particles.
+pub fn mean_vector(vectors: &[[f32; 3]]) -> Option<[f64; 3]> {
+    let along = |axis: usize| mean(vectors.iter().map(|vector| f64::from(vector[axis])));
+    (!vectors.is_empty()).then(|| std::array::from_fn(along))
+}
+
+/// The mean of |v|, metres per second; 0 without particles.
+pub fn mean_speed(velocities: &[[f32; 3]]) -> f64 {
+    mean(velocities.iter().map(|v| v.iter().map(|c| f64::from(*c).powi(2)).sum::<f64>().sqrt()))
 }
 
 /// The largest |v|, metres per second; 0 without particles. The largest float32 for what is beyond it.
@@ -247,10 +253,11 @@ mod tests {
         let velocities = [[3.0, 0.0, 4.0], [0.0; 3]];
         assert_eq!(kinetic_energy(&velocities), 6.25);
         assert_eq!(highest_speed(&velocities), 5.0);
+        assert_eq!((mean_speed(&velocities), mean_speed(&[])), (2.5, 0.0));
         assert_eq!(highest_speed(&[[1e20, 0.0, 0.0]]), 1e20);
         assert_eq!(highest_speed(&[[f32::MAX; 3]]), f32::MAX);
-        assert_eq!(center_of_mass(&[[1.0, 2.0, 3.0], [3.0, 2.0, 1.0]]), Some([2.0; 3]));
-        assert_eq!((kinetic_energy(&[]), highest_speed(&[]), center_of_mass(&[])), (0.0, 0.0, None));
+        assert_eq!(mean_vector(&[[1.0, 2.0, 3.0], [3.0, 2.0, 1.0]]), Some([2.0; 3]));
+        assert_eq!((kinetic_energy(&[]), highest_speed(&[]), mean_vector(&[])), (0.0, 0.0, None));
     }
 
     #[test]

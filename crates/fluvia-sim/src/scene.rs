@@ -136,6 +136,13 @@ pub struct Material {
     pub density: Option<f32>,
 }
 
+impl Material {
+    /// This material, the other where it says nothing.
+    pub fn or(self, other: Material) -> Material {
+        Material { viscosity: self.viscosity.or(other.viscosity), density: self.density.or(other.density) }
+    }
+}
+
 impl Scene {
     /// Reads a scene file. The files that it names are read by [`sample`](Scene::sample).
     ///
@@ -180,6 +187,11 @@ impl Scene {
     pub fn write(&self, path: impl AsRef<Path>) -> Result<()> {
         let text = self.to_json()?;
         write_atomically(path.as_ref(), |out: &mut dyn Write| out.write_all(text.as_bytes()))
+    }
+
+    /// The material of each fluid, the scene's where it has none of its own.
+    pub fn materials(&self) -> Vec<Material> {
+        self.fluids.iter().map(|fluid| fluid.material.or(self.material)).collect()
     }
 
     /// Turns the scene into particles. The same seed gives the same bits.

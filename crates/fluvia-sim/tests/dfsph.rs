@@ -286,12 +286,12 @@ fn a_lighter_liquid_stays_above() {
     let liquids = [1000.0, 200.0].map(|density| Liquid { density, ..Liquid::default() });
     let mut solver = Dfsph::new(Params::default(), &walls, RADIUS, &liquids).unwrap();
     run(&mut solver, &mut fluid, 100);
-    let height = |rows: std::ops::Range<usize>| metrics::center_of_mass(&fluid.position[rows]).unwrap()[1];
+    let height = |rows: std::ops::Range<usize>| metrics::mean_vector(&fluid.position[rows]).unwrap()[1];
     assert!(height(144..288) > height(0..144) + 0.1, "{} and {}", height(144..288), height(0..144));
     // Upside down it turns over.
     let mut fluid = Particles { body: fluid.body.iter().map(|body| 1 - body).collect(), ..fluid };
     run(&mut solver, &mut fluid, 150);
-    let height = |rows: std::ops::Range<usize>| metrics::center_of_mass(&fluid.position[rows]).unwrap()[1];
+    let height = |rows: std::ops::Range<usize>| metrics::mean_vector(&fluid.position[rows]).unwrap()[1];
     assert!(height(0..144) > height(144..288), "{} and {}", height(0..144), height(144..288));
     let ratios = metrics::density_ratios(&fluid.position, &walls.position, RADIUS);
     assert!(metrics::mean_compression(&ratios) < 1e-3);

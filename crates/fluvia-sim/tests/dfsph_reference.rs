@@ -30,7 +30,7 @@ struct Curves {
 impl Curves {
     fn push(&mut self, position: &[[f32; 3]], velocity: &[[f32; 3]]) {
         self.kinetic_energy.push(metrics::kinetic_energy(velocity));
-        self.height.push(metrics::center_of_mass(position).expect("particles")[1]);
+        self.height.push(metrics::mean_vector(position).expect("particles")[1]);
         self.spread.push(metrics::spread(position).expect("particles"));
         self.surface.push(metrics::surface_height(position, 0.1).expect("particles").into());
     }

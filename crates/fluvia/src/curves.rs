@@ -27,6 +27,10 @@ pub struct Curves {
     /// The mean of -g · x.
     pub potential_energy_j_per_kg: Curve,
     pub center_of_mass_m: Vec<Option<[f64; 3]>>,
+    /// The mean velocity.
+    pub momentum_m_per_s: Vec<Option<[f64; 3]>>,
+    /// The mean of |v|.
+    pub mean_speed_m_per_s: Curve,
     /// The root mean square horizontal distance from the centre of mass.
     pub spread_m: Curve,
     /// The median over columns of the highest particle in each.
@@ -64,6 +68,8 @@ impl Curves {
             kinetic_energy_j_per_kg: Vec::new(),
             potential_energy_j_per_kg: Vec::new(),
             center_of_mass_m: Vec::new(),
+            momentum_m_per_s: Vec::new(),
+            mean_speed_m_per_s: Vec::new(),
             spread_m: Vec::new(),
             surface_height_m: Vec::new(),
             outside: Vec::new(),
@@ -86,7 +92,9 @@ impl Curves {
         self.particles.push(position.len());
         self.kinetic_energy_j_per_kg.push(some(metrics::kinetic_energy(velocity)));
         self.potential_energy_j_per_kg.push(some(metrics::potential_energy(position, gravity)));
-        self.center_of_mass_m.push(metrics::center_of_mass(position));
+        self.center_of_mass_m.push(metrics::mean_vector(position));
+        self.momentum_m_per_s.push(metrics::mean_vector(velocity));
+        self.mean_speed_m_per_s.push(some(metrics::mean_speed(velocity)));
         self.spread_m.push(metrics::spread(position));
         self.surface_height_m.push(metrics::surface_height(position, COLUMN * radius).map(decimal));
         self.outside.push(walls.map_or(0, |walls| metrics::outside(position, &walls, radius)));

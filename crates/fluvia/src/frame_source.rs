@@ -3,9 +3,12 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
+use fluvia_sim::Error;
+use fluvia_sim::frames::sequence::Frame;
 use fluvia_sim::frames::{self, ParticleData, Sequence, run, sequence};
 use fluvia_sim::scene::{DEFAULT_DT, DEFAULT_GRAVITY, DEFAULT_PARTICLE_RADIUS, Scene};
 
+use crate::options::labelled;
 use crate::record::{Record, decimal};
 
 /// Frames on disk, read one at a time, with what is known of the scene.
@@ -20,18 +23,21 @@ pub struct FrameSource {
     pub particle_radius: f32,
     /// Metres per second squared.
     pub gravity: [f32; 3],
-    /// `None` for the directory of a run.
-    sequence: Option<Sequence>,
+    kind: Kind,
+}
+
+/// What holds the frames.
+enum Kind {
+    /// The directory of a run, with its record if it has one.
+    Run(Option<Box<Record>>),
+    Sequence(Sequence),
 }
 
 impl FrameSource {
     /// Opens `FRAMES` or `LABEL=FRAMES`; gives the label, which is the text without one.
     pub fn open_labelled(text: &str, dt: Option<f32>) -> Result<(String, FrameSource)> {
-        let (label, path) = match text.split_once('=') {
-            Some((label, path)) if !Path::new(text).exists() => (label, path),
-            _ => (text, text),
-        };
-        Ok((label.to_owned(), FrameSource::open(Path::new(path), dt)?))
+        let (label, path) = labelled(text);
+        Ok((label.to_owned(), FrameSource::open(path, dt)?))
     }
 
     /// Opens the directory of a run, or a sequence: its folder, one of its parts, or the common prefix of its parts.
@@ -49,13 +55,13 @@ impl FrameSource {
         let record_path = path.join(run::RECORD);
         let record: Option<Record> =
             if record_path.exists() { Some(frames::read_json(&record_path)?) } else { None };
-        let (dt, particle_radius, gravity) = record
-            .map_or((dt, DEFAULT_PARTICLE_RADIUS, DEFAULT_GRAVITY), |record| {
+        let (dt, particle_radius, gravity) =
+            record.as_ref().map_or((dt, DEFAULT_PARTICLE_RADIUS, DEFAULT_GRAVITY), |record| {
                 (record.dt, record.particle_radius, record.gravity)
             });
         let walls = run::read_walls(path)?.unwrap_or_default();
-        let (path, dt) = (path.to_path_buf(), decimal(dt));
-        Ok(FrameSource { path, numbers, walls, dt, particle_radius, gravity, sequence: None })
+        let (path, dt, kind) = (path.to_path_buf(), decimal(dt), Kind::Run(record.map(Box::new)));
+        Ok(FrameSource { path, numbers, walls, dt, particle_radius, gravity, kind })
     }
 
     fn of_sequence(path: &Path, dt: f32) -> Result<FrameSource> {
@@ -73,7 +79,7 @@ impl FrameSource {
             dt: decimal(scene.map_or(dt, |scene| scene.dt.unwrap_or(DEFAULT_DT))),
             particle_radius: scene.and_then(|scene| scene.particle_radius).unwrap_or(DEFAULT_PARTICLE_RADIUS),
             gravity: scene.and_then(|scene| scene.gravity).unwrap_or(DEFAULT_GRAVITY),
-            sequence: Some(sequence),
+            kind: Kind::Sequence(sequence),
         })
     }
 
@@ -92,16 +98,42 @@ impl FrameSource {
         &self.walls
     }
 
+    /// What is known of a run, if this is one.
+    pub fn record(&self) -> Option<&Record> {
+        match &self.kind {
+            Kind::Run(record) => record.as_deref(),
+            Kind::Sequence(_) => None,
+        }
+    }
+
+    /// A frame of a sequence with all that it holds; `None` if this is none.
+    ///
+    /// # Errors
+    /// If it cannot be read.
+    pub fn frame_of_sequence(&mut self, number: u64) -> fluvia_sim::Result<Option<&Frame>> {
+        match &mut self.kind {
+            Kind::Run(_) => Ok(None),
+            Kind::Sequence(sequence) => sequence.frame(number).map(Some),
+        }
+    }
+
     /// Reads a frame. Of a sequence the part that it is in is kept for the next.
-    pub fn read(&mut self, number: u64) -> Result<ParticleData> {
+    ///
+    /// # Errors
+    /// If there is no such frame, or it cannot be read.
+    pub fn read(&mut self, number: u64) -> fluvia_sim::Result<ParticleData> {
         if self.numbers.binary_search(&number).is_err() {
             let (first, last) = (self.numbers[0], self.numbers[self.numbers.len() - 1]);
-            bail!("{}: no frame {number}, there are {first} to {last}", self.path.display());
+            return Err(Error::file(&self.path, format!("no frame {number}, there are {first} to {last}")));
         }
-        let Some(sequence) = &mut self.sequence else { return Ok(run::read_frame(&self.path, number)?) };
-        let frame = sequence.frame(number)?;
-        let (position, velocity) = (frame.position.clone(), frame.velocity.clone());
-        Ok(ParticleData { position, velocity: Some(velocity), ..ParticleData::default() })
+        match &mut self.kind {
+            Kind::Run(_) => run::read_frame(&self.path, number),
+            Kind::Sequence(sequence) => {
+                let frame = sequence.frame(number)?;
+                let (position, velocity) = (frame.position.clone(), frame.velocity.clone());
+                Ok(ParticleData { position, velocity: Some(velocity), ..ParticleData::default() })
+            }
+        }
     }
 }
 

@@ -8,10 +8,13 @@ mod compare;
 mod convert;
 mod curves;
 mod data_set;
+mod evaluate;
 mod frame_source;
 mod generate;
 mod inspect;
 mod options;
+mod plot;
+mod plots;
 mod record;
 mod render;
 mod report;
@@ -49,6 +52,10 @@ enum Command {
     Generate(generate::Args),
     /// Train a network on a data set.
     Train(train::Args),
+    /// Draw the curves of trainings.
+    Plot(plot::Args),
+    /// Say how far solvers are from true sequences.
+    Evaluate(evaluate::Args),
     /// Say how far two runs of a scene are apart.
     Compare(compare::Args),
     /// Draw frames: a picture, a contact sheet or a film.
@@ -73,6 +80,8 @@ fn main() -> ExitCode {
         Command::Simulate(args) => simulate::run(&args, &report),
         Command::Generate(args) => generate::run(&args, &report),
         Command::Train(args) => train::run(&args, &report),
+        Command::Plot(args) => plot::run(&args, &report),
+        Command::Evaluate(args) => evaluate::run(&args, &report),
         Command::Compare(args) => compare::run(&args, &report),
         Command::Render(args) => render::run(&args, &report),
         Command::Inspect(args) => inspect::run(&args, &report),

@@ -1,5 +1,7 @@
 //! Values of options that several subcommands take.
 
+use std::path::Path;
+
 use anyhow::{Context, Result, bail};
 use cconv::Precision;
 use fluvia_sim::substep::Substep;
@@ -18,6 +20,14 @@ const MAX_THREADS: usize = 1024;
 pub fn threads(text: &str) -> std::result::Result<usize, String> {
     let threads = text.parse().ok().filter(|n| (1..=MAX_THREADS).contains(n));
     threads.ok_or_else(|| format!("expected a number from 1 to {MAX_THREADS}"))
+}
+
+/// The label and the path of `LABEL=PATH` or `PATH`, whose label is all of it.
+pub fn labelled(text: &str) -> (&str, &Path) {
+    match text.split_once('=') {
+        Some((label, path)) if !Path::new(text).exists() => (label, Path::new(path)),
+        _ => (text, Path::new(text)),
+    }
 }
 
 /// Parses a positive number.

@@ -11,7 +11,7 @@ use fluvia_sim::dfsph::{self, Dfsph, Liquid};
 use fluvia_sim::particles::{Acceleration, Particles};
 use fluvia_sim::pbf::{self, Pbf};
 use fluvia_sim::rollout::Solver;
-use fluvia_sim::scene::{Fluid, Material, Scene, Setup};
+use fluvia_sim::scene::{Material, Scene, Setup};
 use fluvia_sim::substep::Substep;
 use serde_json::json;
 
@@ -72,11 +72,25 @@ impl Choice {
         }
     }
 
+    /// Checks what is recorded of true frames against what the solver can honour.
+    ///
+    /// # Errors
+    /// One line that names `path` and the value.
+    pub fn check(&self, path: &Path, setup: &Setup) -> Result<()> {
+        let Choice::Network(weights, _) = self else { return Ok(()) };
+        let config = &weights.config;
+        check(path, "dt", Some(setup.dt), config.dt, "s")?;
+        check(path, "particle_radius", Some(setup.particle_radius), config.particle_radius, "m")?;
+        for emitter in &setup.emitters {
+            check_material(path, "", emitter.material, config)?;
+        }
+        Ok(())
+    }
+
     /// What will surprise though the solver takes the scene.
     pub fn warning(&self, scene: &Scene) -> Option<String> {
         let Choice::Dfsph(dfsph::Params { substep, .. }) = self else { return None };
-        let given =
-            scene.fluids.iter().filter_map(|fluid| fluid.material.viscosity.or(scene.material.viscosity));
+        let given = scene.materials().into_iter().filter_map(|material| material.viscosity);
         let highest = given.reduce(f32::max)?;
         if *substep == Substep::Fixed(PUBLISHED_STEP) || highest <= Liquid::default().viscosity {
             return None;
@@ -195,8 +209,8 @@ const MOST_DENSITY_RATIO: f32 = 5.0;
 
 fn check_dfsph(scene: &Scene) -> Result<()> {
     let path = scene.path.display();
-    let own = |fluid: &Fluid| fluid.material.density.or(scene.material.density);
-    let densities = scene.fluids.iter().map(|fluid| own(fluid).unwrap_or(Liquid::default().density));
+    let own = scene.materials().into_iter().map(|material| material.density);
+    let densities = own.map(|density| density.unwrap_or(Liquid::default().density));
     let (low, high) = densities.fold((f32::MAX, 0.0), |(low, high), d| (d.min(low), d.max(high)));
     if high > MOST_DENSITY_RATIO * low {
         bail!(
@@ -249,16 +263,19 @@ fn check_network(scene: &Scene, config: &Config) -> Result<()> {
     let path = &scene.path;
     check(path, "dt", scene.dt, config.dt, "s")?;
     check(path, "particle_radius", scene.particle_radius, config.particle_radius, "m")?;
-    let has_viscosity = config.extra_inputs.iter().any(|input| input == "viscosity");
     let materials = std::iter::once((String::new(), scene.material))
         .chain(scene.fluids.iter().enumerate().map(|(i, f)| (format!("fluids[{i}]."), f.material)));
     for (prefix, material) in materials {
-        if !has_viscosity {
-            check(path, &format!("{prefix}viscosity"), material.viscosity, config.viscosity, "")?;
-        }
-        check(path, &format!("{prefix}density"), material.density, config.density, "kg/m³")?;
+        check_material(path, &prefix, material, config)?;
     }
     Ok(())
+}
+
+fn check_material(path: &Path, prefix: &str, material: Material, config: &Config) -> Result<()> {
+    if !config.extra_inputs.iter().any(|input| input == "viscosity") {
+        check(path, &format!("{prefix}viscosity"), material.viscosity, config.viscosity, "")?;
+    }
+    check(path, &format!("{prefix}density"), material.density, config.density, "kg/m³")
 }
 
 /// A value that the scene gives must be the one that the weights were made for.

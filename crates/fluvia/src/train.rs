@@ -10,7 +10,7 @@
 
 mod config;
 mod events;
-mod log;
+pub mod log;
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;

@@ -84,10 +84,7 @@ fn sample_fluid(fluid: &Fluid, body: &Body<'_>, radius: f32, scene: &Material) -
         start: fluid.start,
         stop: fluid.stop,
         step: fluid.step,
-        material: Material {
-            viscosity: fluid.material.viscosity.or(scene.viscosity),
-            density: fluid.material.density.or(scene.density),
-        },
+        material: fluid.material.or(*scene),
     })
 }
 

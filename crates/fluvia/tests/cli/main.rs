@@ -2,6 +2,7 @@
 
 mod common;
 mod compare;
+mod evaluate;
 mod faults;
 mod generate;
 mod sequences;

@@ -1,0 +1,109 @@
+//! `fluvia plot`: the curves of trainings as a picture.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use anyhow::{Result, bail};
+use fluvia_sim::frames;
+
+use crate::options::labelled;
+use crate::plots::{self, Panel, Scale};
+use crate::report::Report;
+use crate::train::log::{FILE, Line, read_whole};
+
+/// The picture of one run, in its directory.
+const PICTURE: &str = "curves.svg";
+
+/// A curve has at most so many points: means of as many updates.
+const POINTS: usize = 300;
+
+/// Panels in a row.
+const COLUMNS: usize = 3;
+
+/// Options of `fluvia plot`.
+#[derive(clap::Args)]
+#[command(after_help = "\
+Examples:
+  fluvia plot out/paper
+  fluvia plot paper=out/paper velocity=out/velocity --out curves.svg")]
+pub struct Args {
+    /// The directory of a training; LABEL=RUN names it.
+    #[arg(value_name = "RUN", required = true)]
+    runs: Vec<String>,
+    /// The picture (SVG); RUN/curves.svg for one run if not given.
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+}
+
+/// The numbers of a training.
+struct Curves<'a> {
+    label: &'a str,
+    /// Updates, loss, length of the gradient, rate, particles a second.
+    train: [Vec<f64>; 5],
+    /// Updates, loss, errors after one and two steps.
+    valid: [Vec<f64>; 4],
+}
+
+pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
+    let out = match (&args.out, args.runs.as_slice()) {
+        (Some(out), _) => out.clone(),
+        (None, [run]) => labelled(run).1.join(PICTURE),
+        (None, _) => bail!("several runs: expected --out for their picture"),
+    };
+    let curves = args.runs.iter().map(|run| read(run)).collect::<Result<Vec<_>>>()?;
+    let picture = picture(&curves).map_err(|error| anyhow::anyhow!("{}: {error}", out.display()))?;
+    frames::write_atomically(&out, |file| file.write_all(picture.as_bytes()))?;
+    if !report.is_quiet() {
+        report.result(out.display())?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn read(run: &str) -> Result<Curves<'_>> {
+    let (label, path) = labelled(run);
+    let path = path.join(FILE);
+    let mut curves = Curves { label, train: Default::default(), valid: Default::default() };
+    for line in read_whole(&path)? {
+        match line {
+            Line::Train { update, loss, gradient, rate, particles_per_s } => {
+                let values = [update as f64, loss, gradient, rate, particles_per_s];
+                curves.train.iter_mut().zip(values).for_each(|(curve, value)| curve.push(value));
+            }
+            Line::Valid { update, loss, err_n1_mm, err_n2_mm } => {
+                let values = [update as f64, loss, err_n1_mm, err_n2_mm];
+                curves.valid.iter_mut().zip(values).for_each(|(curve, value)| curve.push(value));
+            }
+        }
+    }
+    if curves.train[0].is_empty() {
+        bail!("{}: no updates yet", path.display());
+    }
+    Ok(Curves { train: curves.train.map(|values| thinned(&values)), ..curves })
+}
+
+fn picture(runs: &[Curves<'_>]) -> Result<String, String> {
+    let panel = |title, scale, curve: &dyn Fn(&Curves<'_>) -> (Vec<f64>, Vec<f64>)| {
+        let curves = runs.iter().map(|run| {
+            let (at, values) = curve(run);
+            (run.label, at, values.into_iter().map(Some).collect())
+        });
+        Panel { title, across: "updates", scale, curves: curves.collect() }
+    };
+    let train = |k: usize| move |run: &Curves<'_>| (run.train[0].clone(), run.train[k].clone());
+    let valid = |k: usize| move |run: &Curves<'_>| (run.valid[0].clone(), run.valid[k].clone());
+    let panels = [
+        panel("loss", Scale::Logarithmic, &train(1)),
+        panel("validation: error after one step, mm", Scale::Logarithmic, &valid(2)),
+        panel("validation: error after two steps, mm", Scale::Logarithmic, &valid(3)),
+        panel("rate", Scale::Logarithmic, &train(3)),
+        panel("length of the gradient", Scale::Logarithmic, &train(2)),
+        panel("particles a second", Scale::Linear, &train(4)),
+    ];
+    plots::svg(&panels, COLUMNS)
+}
+
+/// Means of so many values in a row that few are left.
+fn thinned(values: &[f64]) -> Vec<f64> {
+    let size = values.len().div_ceil(POINTS).max(1);
+    values.chunks(size).map(|chunk| chunk.iter().sum::<f64>() / chunk.len() as f64).collect()
+}
