@@ -2,6 +2,8 @@
 //!
 //! The channel counts are not here: the tensors have them.
 
+use cconv::{Interpolation, Options, Window};
+
 /// The smallest number of inputs of a fluid particle: the constant 1 and the velocity.
 pub const BASE_INPUTS: usize = 4;
 
@@ -13,6 +15,13 @@ pub const WALL_INPUTS: usize = 3;
 pub struct Config {
     /// Cells of every filter: depth (z), height (y), width (x).
     pub filter_size: [usize; 3],
+    /// How filters are looked up between their cells.
+    pub interpolation: Interpolation,
+    /// The window function of all convolutions (Eq. 8).
+    pub window: Window,
+    /// Whether each particle has a fully connected part of its own beside every convolution; without it the particle is one
+    /// of its neighbours.
+    pub fully_connected: bool,
     /// Names of the input features that follow the constant 1 and the velocity: "viscosity".
     pub extra_inputs: Vec<String>,
     /// Particle radius r, metres; the particle spacing is 2 r.
@@ -38,6 +47,9 @@ impl Default for Config {
     fn default() -> Config {
         Config {
             filter_size: [4; 3],
+            interpolation: Interpolation::Linear,
+            window: Window::Poly6,
+            fully_connected: true,
             extra_inputs: Vec::new(),
             particle_radius: 0.025,
             filter_radius: 0.1125,
@@ -52,6 +64,21 @@ impl Default for Config {
 }
 
 impl Config {
+    /// The options of all convolutions.
+    pub fn options(&self) -> Options {
+        Options {
+            filter_size: self.filter_size,
+            interpolation: self.interpolation,
+            window: self.window,
+            ..Options::default()
+        }
+    }
+
+    /// How neighbours are searched for.
+    pub(crate) fn search(&self) -> fluvia_neighbors::Options {
+        fluvia_neighbors::Options { ignore_coincident: self.fully_connected, ..Default::default() }
+    }
+
     /// The number of input features of a fluid particle.
     pub fn fluid_inputs(&self) -> usize {
         BASE_INPUTS + self.extra_inputs.len()

@@ -20,10 +20,12 @@ use crate::integrate::State;
 use crate::{Error, Result};
 
 mod loader;
+mod noise;
 mod order;
 mod rotation;
 
 pub use loader::{Damaged, Loaded, Loader, Sampling};
+pub use noise::Noise;
 pub use order::Order;
 pub use rotation::Rotation;
 

@@ -22,7 +22,7 @@ use rayon::prelude::*;
 
 use crate::Result;
 use crate::config::{Config, WALL_INPUTS};
-use crate::weights::{Convolution, Weights};
+use crate::weights::{Convolution, Layer, Weights};
 
 pub use backward::NetworkGradients;
 
@@ -40,7 +40,7 @@ pub struct Network {
     kernel: Kernel,
     obstacle: Filter,
     fluid: Filter,
-    fluid_dense: Dense,
+    fluid_dense: Option<Dense>,
     layers: Vec<Filter>,
 }
 
@@ -56,7 +56,7 @@ pub struct Walls {
 /// What a forward pass leaves: its result, and what the backward pass needs of it.
 #[derive(Debug, Default)]
 pub struct Pass {
-    /// Fluid neighbours of each particle, itself excluded.
+    /// Fluid neighbours of each particle.
     pub fluid_neighbors: Neighbors,
     /// Wall neighbours of each particle.
     pub wall_neighbors: Neighbors,
@@ -114,7 +114,7 @@ impl Network {
     pub fn new(weights: &Weights, kernel: Kernel) -> Result<Network> {
         weights.check()?;
         let config = weights.config.clone();
-        let options = Options { filter_size: config.filter_size, ..Options::default() };
+        let options = config.options();
         let filter = |part: &Convolution| {
             Filter::new(&options, part.inputs, part.outputs, &part.kernel).with_bias(&part.bias)
         };
@@ -128,17 +128,17 @@ impl Network {
             )
             .with_bias(&weights.obstacle.bias),
             fluid: filter(&weights.fluid),
-            fluid_dense: Dense::new(
-                weights.fluid_dense.inputs,
-                &weights.fluid_dense.weight,
-                &weights.fluid_dense.bias,
-            ),
+            fluid_dense: weights
+                .fluid_dense
+                .as_ref()
+                .map(|part| Dense::new(part.inputs, &part.weight, &part.bias)),
             layers: layers
-                .map(|layer| {
+                .map(|Layer { convolution, dense }| {
+                    let Some(dense) = dense else { return filter(convolution) };
                     // The two biases are added to the same sum.
-                    let pairs = layer.convolution.bias.iter().zip(&layer.dense.bias);
+                    let pairs = convolution.bias.iter().zip(&dense.bias);
                     let bias: Vec<f32> = pairs.map(|(a, b)| a + b).collect();
-                    filter(&layer.convolution).with_bias(&bias).with_pointwise(&layer.dense.weight)
+                    filter(convolution).with_bias(&bias).with_pointwise(&dense.weight)
                 })
                 .collect(),
             config,
@@ -184,8 +184,8 @@ impl Network {
         Walls { position, features, grids }
     }
 
-    /// Finds the neighbours of particles at x*, among them and among the walls, without what is at distance zero: the
-    /// particle itself, and whatever coincides with it.
+    /// Finds the neighbours of particles at x*, among them and among the walls. In a fully connected network they are
+    /// without what is at distance zero: the particle itself, and whatever coincides with it.
     ///
     /// # Panics
     /// If there are other numbers of clouds of particles and of walls.
@@ -198,7 +198,7 @@ impl Network {
         memory: &mut Memory,
     ) {
         let radius = self.config.filter_radius;
-        let options = fluvia_neighbors::Options { ignore_coincident: true, ..Default::default() };
+        let options = self.config.search();
         let (grids, uniform) = (&mut memory.grids, Radius::Uniform(radius));
         grids.build(position, clouds, radius);
         grids.search(position, clouds, uniform, &options, &mut pass.fluid_neighbors);
@@ -236,8 +236,10 @@ impl Network {
         forward_into(wall_geometry, &self.obstacle, &walls.features, columns, workspace);
         let columns = Columns { values: first, stride, first: walls_width };
         forward_into(fluid_geometry, &self.fluid, features, columns, workspace);
-        let columns = Columns { values: first, stride, first: walls_width + fluid_width };
-        dense(&self.fluid_dense, features, columns, workspace, self.kernel);
+        if let Some(part) = &self.fluid_dense {
+            let columns = Columns { values: first, stride, first: walls_width + fluid_width };
+            dense(part, features, columns, workspace, self.kernel);
+        }
 
         for (k, layer) in self.layers.iter().enumerate() {
             let (before, next) = values[k..].split_first_mut().expect("a value for each layer and one more");
@@ -255,9 +257,10 @@ impl Network {
         }
     }
 
-    /// Channels of the three parts of the first layer.
+    /// Channels of the three parts of the first layer; 0 of one that is not there.
     fn first_widths(&self) -> [usize; 3] {
-        [self.obstacle.out_channels(), self.fluid.out_channels(), self.fluid_dense.out_channels()]
+        let dense = self.fluid_dense.as_ref().map_or(0, Dense::out_channels);
+        [self.obstacle.out_channels(), self.fluid.out_channels(), dense]
     }
 
     /// The points of the two geometries: among the fluid, and of walls and fluid.

@@ -2,8 +2,8 @@
 //! Eq. 10-14.
 
 use cconv::reference::{Sets, Weights as LayerWeights};
-use cconv::{Extent, Options, PointSets, PositionGradient};
-use fluvia_neighbors::{Metric, Neighbors, Radius, brute_force};
+use cconv::{Extent, PointSets, PositionGradient};
+use fluvia_neighbors::{Neighbors, Radius, brute_force};
 use fluvia_sim::particles::{Acceleration, Boundary};
 
 use crate::config::{Config, Integration};
@@ -31,9 +31,6 @@ pub struct Network {
 const OBSTACLE: usize = 0;
 const FLUID: usize = 2;
 const FLUID_DENSE: usize = 4;
-/// Where the tensors of the layers after the first start, and how many a layer has.
-const LAYERS: usize = 6;
-const TENSORS: usize = 4;
 
 impl From<&Weights> for Network {
     fn from(weights: &Weights) -> Network {
@@ -162,7 +159,10 @@ impl Trace {
         let parts = [
             network.convolve(OBSTACLE, &self.walls, normals),
             network.convolve(FLUID, &self.fluid, &self.features),
-            network.fully_connected(FLUID_DENSE, &self.features),
+            match network.config.fully_connected {
+                true => network.fully_connected(FLUID_DENSE, &self.features),
+                false => Vec::new(),
+            },
         ];
         let widths = network.first_widths();
         let first = (0..self.x_star.len()).flat_map(|i| {
@@ -173,7 +173,9 @@ impl Trace {
             let before = &values[values.len() - 1];
             let activated: Vec<f64> = before.iter().map(|&x| relu(x)).collect();
             let mut next = network.convolve(place, &self.fluid, &activated);
-            add(&mut next, &network.fully_connected(place + 2, &activated));
+            if network.config.fully_connected {
+                add(&mut next, &network.fully_connected(place + 2, &activated));
+            }
             if network.is_residual(place) {
                 add(&mut next, before);
             }
@@ -250,8 +252,10 @@ impl Trace {
             add_points(&mut by_x_star, &layer.input_positions);
             add_points(&mut by_x_star, &layer.output_positions);
             let mut by_activated = layer.features;
-            let dense = network.fully_connected_backward(place + 2, &activated, &by_values, tensors);
-            add(&mut by_activated, &dense);
+            if network.config.fully_connected {
+                let dense = network.fully_connected_backward(place + 2, &activated, &by_values, tensors);
+                add(&mut by_activated, &dense);
+            }
             // relu has no slope at 0.
             by_activated.iter_mut().zip(before).filter(|(_, x)| **x <= 0.0).for_each(|(d, _)| *d = 0.0);
             if network.is_residual(place) {
@@ -271,10 +275,10 @@ impl Trace {
         add_points(&mut by_x_star, &fluid.input_positions);
         add_points(&mut by_x_star, &fluid.output_positions);
         let mut by_features = fluid.features;
-        add(
-            &mut by_features,
-            &network.fully_connected_backward(FLUID_DENSE, &self.features, &part(2), tensors),
-        );
+        if network.config.fully_connected {
+            let dense = network.fully_connected_backward(FLUID_DENSE, &self.features, &part(2), tensors);
+            add(&mut by_features, &dense);
+        }
         (by_features, by_x_star)
     }
 }
@@ -283,9 +287,7 @@ impl Trace {
 fn sets(config: &Config, x_star: &[[f64; 3]], walls: &[[f32; 3]]) -> (Sets, Sets) {
     let points: Vec<[f32; 3]> = x_star.iter().map(|x| x.map(|c| c as f32)).collect();
     let search = |inputs: &[[f32; 3]]| -> Neighbors {
-        let options =
-            fluvia_neighbors::Options { metric: Metric::L2, ignore_coincident: true, distances: false };
-        brute_force(inputs, &points, Radius::Uniform(config.filter_radius), &options)
+        brute_force(inputs, &points, Radius::Uniform(config.filter_radius), &config.search())
     };
     let extent = Extent::Uniform(2.0 * config.filter_radius);
     let (fluid, wall) = (search(&points), search(walls));
@@ -305,26 +307,25 @@ fn normals(boundary: &Boundary) -> Vec<f64> {
 impl Network {
     /// The places of the layers after the first.
     fn layers(&self) -> impl DoubleEndedIterator<Item = usize> + ExactSizeIterator + use<> {
-        (0..(self.tensors.len() - LAYERS) / TENSORS).map(|k| LAYERS + k * TENSORS)
+        // Two convolutions come first; each has a bias, and so has a fully connected part.
+        let (first, of_layer) = if self.config.fully_connected { (6, 4) } else { (4, 2) };
+        (first..self.tensors.len()).step_by(of_layer)
     }
 
     fn outputs(&self, place: usize) -> usize {
         self.tensors[place + 1].len()
     }
 
-    /// Output channels of the three parts of the first layer.
+    /// Output channels of the three parts of the first layer; 0 of one that is not there.
     fn first_widths(&self) -> [usize; 3] {
-        [OBSTACLE, FLUID, FLUID_DENSE].map(|place| self.outputs(place))
+        let dense = if self.config.fully_connected { self.outputs(FLUID_DENSE) } else { 0 };
+        [self.outputs(OBSTACLE), self.outputs(FLUID), dense]
     }
 
     /// Whether the layer's input is added to its output.
     fn is_residual(&self, place: usize) -> bool {
-        let outputs = self.outputs(place);
-        self.tensors[place + 2].len() == outputs * outputs
-    }
-
-    fn options(&self) -> Options {
-        Options { filter_size: self.config.filter_size, ..Options::default() }
+        let layer = self.layer(place);
+        layer.in_channels == layer.out_channels
     }
 
     fn layer(&self, place: usize) -> LayerWeights<'_> {
@@ -340,7 +341,7 @@ impl Network {
     }
 
     fn convolve(&self, place: usize, sets: &Sets, features: &[f64]) -> Vec<f64> {
-        cconv::reference::forward(&self.options(), sets, &self.layer(place), features)
+        cconv::reference::forward(&self.config.options(), sets, &self.layer(place), features)
     }
 
     fn convolve_backward(
@@ -352,7 +353,7 @@ impl Network {
         tensors: &mut [Vec<f64>],
     ) -> cconv::reference::Gradients {
         let layer = self.layer(place);
-        let gradients = cconv::reference::backward(&self.options(), sets, &layer, features, by_output);
+        let gradients = cconv::reference::backward(&self.config.options(), sets, &layer, features, by_output);
         add(&mut tensors[place], &gradients.filter);
         add(&mut tensors[place + 1], &gradients.bias);
         gradients

@@ -141,7 +141,7 @@ impl Solver for NetSolver {
         step.correct(network, &mut particles.position, &mut particles.velocity);
         Ok(StepInfo {
             substeps: 1,
-            max_neighbors: step.neighbor_counts().into_iter().max().unwrap_or(0),
+            max_neighbors: step.neighbor_counts(network).into_iter().max().unwrap_or(0),
             neighbor_radius: network.config().filter_radius,
             ..StepInfo::default()
         })

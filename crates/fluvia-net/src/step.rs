@@ -157,10 +157,11 @@ impl Step {
     }
 
     /// The number of fluid neighbours of each particle at x*, itself excluded, in the caller's order.
-    pub fn neighbor_counts(&self) -> Vec<u32> {
+    pub fn neighbor_counts(&self, network: &Network) -> Vec<u32> {
+        let itself = if network.config().fully_connected { 0 } else { 1 };
         let mut counts = vec![0; self.order.len()];
         for (row, &i) in self.order.iter().enumerate() {
-            counts[i as usize] = self.pass.fluid_neighbors.count(row) as u32;
+            counts[i as usize] = self.pass.fluid_neighbors.count(row) as u32 - itself;
         }
         counts
     }

@@ -68,7 +68,7 @@ impl Unroll {
             let is_finite = step.forward(network, before, world, walls, activations, &mut self.memory);
             assert!(is_finite, "step {}: a position of Eq. 11 is not finite", k + 1);
             step.correct(network, &mut state.position, &mut state.velocity);
-            self.neighbors.push(step.neighbor_counts());
+            self.neighbors.push(step.neighbor_counts(network));
             self.states[k + 1] = state;
         }
     }

@@ -42,8 +42,8 @@ pub struct Weights {
     pub obstacle: Convolution,
     /// First layer, fluid to fluid (`conv0_fluid`).
     pub fluid: Convolution,
-    /// First layer, each particle by itself (`dense0_fluid`).
-    pub fluid_dense: Dense,
+    /// First layer, each particle by itself (`dense0_fluid`); `None` in a network that is not fully connected.
+    pub fluid_dense: Option<Dense>,
     /// The layers that follow (`conv1` with `dense1` and so on), at least one.
     pub layers: Vec<Layer>,
     /// How the weights were trained, as JSON text, if the file says.
@@ -55,8 +55,8 @@ pub struct Weights {
 pub struct Layer {
     /// Over the neighbours.
     pub convolution: Convolution,
-    /// Over the particle itself.
-    pub dense: Dense,
+    /// Over the particle itself; `None` in a network that is not fully connected.
+    pub dense: Option<Dense>,
 }
 
 /// A continuous convolution.
@@ -86,7 +86,7 @@ pub struct Dense {
 }
 
 impl Weights {
-    /// A network that is zero everywhere. Each of the three parts of the first layer gives `first` channels,
+    /// A network that is zero everywhere. Each part of the first layer gives `first` channels,
     /// the layers between the first and the last give those of `hidden`.
     pub fn zeros(config: Config, first: usize, hidden: &[usize]) -> Weights {
         let cells = config.filter_size.iter().product::<usize>();
@@ -96,13 +96,16 @@ impl Weights {
             kernel: vec![0.0; cells * inputs * outputs],
             bias: vec![0.0; outputs],
         };
-        let dense = |inputs, outputs| Dense {
-            inputs,
-            outputs,
-            weight: vec![0.0; inputs * outputs],
-            bias: vec![0.0; outputs],
+        let dense = |inputs, outputs| {
+            config.fully_connected.then(|| Dense {
+                inputs,
+                outputs,
+                weight: vec![0.0; inputs * outputs],
+                bias: vec![0.0; outputs],
+            })
         };
-        let mut widths = vec![3 * first];
+        let parts = if config.fully_connected { 3 } else { 2 };
+        let mut widths = vec![parts * first];
         widths.extend(hidden);
         widths.push(config.integration.outputs());
         let layer = |pair: &[usize]| Layer {
@@ -125,10 +128,10 @@ impl Weights {
         let filter = self.config.filter_size;
         push_convolution(&mut tensors, "conv0_obstacle", &self.obstacle, filter);
         push_convolution(&mut tensors, "conv0_fluid", &self.fluid, filter);
-        push_dense(&mut tensors, "dense0_fluid", &self.fluid_dense);
+        push_dense(&mut tensors, "dense0_fluid", self.fluid_dense.as_ref());
         for (number, layer) in (1..).zip(&self.layers) {
             push_convolution(&mut tensors, &format!("conv{number}"), &layer.convolution, filter);
-            push_dense(&mut tensors, &format!("dense{number}"), &layer.dense);
+            push_dense(&mut tensors, &format!("dense{number}"), layer.dense.as_ref());
         }
         tensors
     }
@@ -140,14 +143,15 @@ impl Weights {
             &mut self.obstacle.bias,
             &mut self.fluid.kernel,
             &mut self.fluid.bias,
-            &mut self.fluid_dense.weight,
-            &mut self.fluid_dense.bias,
         ];
+        fn parts(dense: &mut Option<Dense>) -> impl Iterator<Item = &mut [f32]> {
+            dense.iter_mut().flat_map(|dense| [dense.weight.as_mut_slice(), &mut dense.bias])
+        }
+        values.extend(parts(&mut self.fluid_dense));
         for Layer { convolution, dense } in &mut self.layers {
             values.push(&mut convolution.kernel);
             values.push(&mut convolution.bias);
-            values.push(&mut dense.weight);
-            values.push(&mut dense.bias);
+            values.extend(parts(dense));
         }
         values
     }
@@ -174,19 +178,32 @@ impl Weights {
         };
         let inputs = self.config.fluid_inputs();
         let outputs = self.config.integration.outputs();
-        let first = [self.obstacle.outputs, self.fluid.outputs, self.fluid_dense.outputs].iter().sum();
         let mut widths = vec![
             ("conv0_obstacle inputs".to_owned(), self.obstacle.inputs, WALL_INPUTS),
             ("conv0_fluid inputs".to_owned(), self.fluid.inputs, inputs),
-            ("dense0_fluid inputs".to_owned(), self.fluid_dense.inputs, inputs),
             (format!("conv{} outputs", self.layers.len()), last.convolution.outputs, outputs),
         ];
-        let mut previous = first;
+        let mut previous = self.obstacle.outputs + self.fluid.outputs;
+        if let Some(dense) = &self.fluid_dense {
+            widths.push(("dense0_fluid inputs".to_owned(), dense.inputs, inputs));
+            previous += dense.outputs;
+        }
+        let mut all_dense = vec![("dense0_fluid".to_owned(), &self.fluid_dense)];
         for (number, Layer { convolution, dense }) in (1..).zip(&self.layers) {
             widths.push((format!("conv{number} inputs"), convolution.inputs, previous));
-            widths.push((format!("dense{number} inputs"), dense.inputs, previous));
-            widths.push((format!("dense{number} outputs"), dense.outputs, convolution.outputs));
+            if let Some(dense) = dense {
+                widths.push((format!("dense{number} inputs"), dense.inputs, previous));
+                widths.push((format!("dense{number} outputs"), dense.outputs, convolution.outputs));
+            }
+            all_dense.push((format!("dense{number}"), dense));
             previous = convolution.outputs;
+        }
+        let expected = self.config.fully_connected;
+        if let Some((name, _)) = all_dense.iter().find(|(_, dense)| dense.is_some() != expected) {
+            return Some(match expected {
+                true => format!("{name} is missing in a fully connected network"),
+                false => format!("{name} in a network that is not fully connected"),
+            });
         }
         if let Some((name, found, expected)) =
             widths.into_iter().find(|(_, found, expected)| found != expected)
@@ -228,7 +245,8 @@ fn push_convolution<'a>(
     tensors.push(Tensor { name: format!("{name}.bias"), shape: vec![part.outputs], values: &part.bias });
 }
 
-fn push_dense<'a>(tensors: &mut Vec<Tensor<'a>>, name: &str, part: &'a Dense) {
+fn push_dense<'a>(tensors: &mut Vec<Tensor<'a>>, name: &str, part: Option<&'a Dense>) {
+    let Some(part) = part else { return };
     let shape = vec![part.inputs, part.outputs];
     tensors.push(Tensor { name: format!("{name}.weight"), shape, values: &part.weight });
     tensors.push(Tensor { name: format!("{name}.bias"), shape: vec![part.outputs], values: &part.bias });

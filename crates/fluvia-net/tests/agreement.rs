@@ -9,7 +9,7 @@ use fluvia_net::reference::{self, Network, State, World};
 use fluvia_net::solver::NetSolver;
 use fluvia_sim::particles::{Acceleration, Boundary, Particles};
 use fluvia_sim::rollout::Solver;
-use numbers::{Numbers, weights};
+use numbers::{Numbers, ablations, config, weights};
 
 fn particles(count: usize, numbers: &mut Numbers) -> Particles {
     Particles {
@@ -26,13 +26,16 @@ fn a_step_equals_the_reference() {
     let mut numbers = Numbers(1);
     // The first body has a viscosity of its own, the second that of the weights.
     let viscosity = [Some(0.25), None];
-    for (integration, extra_inputs) in [
-        (Integration::Paper, vec![]),
-        (Integration::Paper, vec!["viscosity"]),
-        (Integration::Velocity, vec![]),
-        (Integration::Velocity, vec!["viscosity"]),
-    ] {
-        let weights = weights(integration, &extra_inputs, &mut numbers);
+    let usual = [
+        config(Integration::Paper, &[]),
+        config(Integration::Paper, &["viscosity"]),
+        config(Integration::Velocity, &[]),
+        config(Integration::Velocity, &["viscosity"]),
+    ];
+    for config in usual.into_iter().chain(ablations()) {
+        let integration = config.integration;
+        let extra_inputs = config.extra_inputs.clone();
+        let weights = weights(config, &mut numbers);
         let dt = weights.config.dt;
         for count in [0, 1, 13, 90] {
             let start = particles(count, &mut numbers);
@@ -73,7 +76,7 @@ fn a_step_equals_the_reference() {
 #[test]
 fn rollouts_are_the_same_bits_at_any_number_of_threads() {
     let mut numbers = Numbers(2);
-    let weights = weights(Integration::Paper, &[], &mut numbers);
+    let weights = weights(config(Integration::Paper, &[]), &mut numbers);
     let start = particles(700, &mut numbers);
     let boundary = Boundary {
         position: (0..300).map(|_| numbers.point(0.2)).collect(),
@@ -101,11 +104,11 @@ fn rollouts_are_the_same_bits_at_any_number_of_threads() {
 #[test]
 fn another_time_step_or_input_is_refused() {
     let mut numbers = Numbers(3);
-    let good = weights(Integration::Paper, &[], &mut numbers);
+    let good = weights(config(Integration::Paper, &[]), &mut numbers);
     let mut solver = NetSolver::new(&good, &Boundary::default(), &[None], Kernel::detect()).unwrap();
     let error = solver.step(&mut Particles::default(), Acceleration::Uniform([0.0; 3]), 0.01).unwrap_err();
     assert_eq!(error.to_string(), "dt: 0.01 s, but the weights were made for steps of 0.02 s");
-    let heat = weights(Integration::Paper, &["temperature"], &mut numbers);
+    let heat = weights(config(Integration::Paper, &["temperature"]), &mut numbers);
     let error = NetSolver::new(&heat, &Boundary::default(), &[None], Kernel::detect()).unwrap_err();
     assert!(error.to_string().contains("temperature"), "{error}");
 }
@@ -113,7 +116,7 @@ fn another_time_step_or_input_is_refused() {
 #[test]
 fn what_does_not_fit_is_refused() {
     let mut numbers = Numbers(5);
-    let weights = weights(Integration::Paper, &["viscosity"], &mut numbers);
+    let weights = weights(config(Integration::Paper, &["viscosity"]), &mut numbers);
     let dt = weights.config.dt;
     let boundary = Boundary { position: vec![[0.0; 3]; 2], normal: vec![[0.0, 1.0, 0.0]] };
     let error = NetSolver::new(&weights, &boundary, &[None], Kernel::detect()).unwrap_err();
@@ -133,7 +136,7 @@ fn what_does_not_fit_is_refused() {
 #[test]
 fn numbers_that_are_none_show_in_the_positions() {
     let mut numbers = Numbers(6);
-    let weights = weights(Integration::Paper, &[], &mut numbers);
+    let weights = weights(config(Integration::Paper, &[]), &mut numbers);
     let rest = Acceleration::Uniform([0.0; 3]);
     let start = particles(12, &mut numbers);
     for kernel in Kernel::available() {
@@ -142,7 +145,7 @@ fn numbers_that_are_none_show_in_the_positions() {
         (fast.position[3], fast.velocity[3]) = ([f32::MAX; 3], [f32::MAX; 3]);
         // Weights so large that sums overflow.
         let mut large = weights.clone();
-        large.fluid_dense.weight.fill(f32::MAX);
+        large.fluid_dense.as_mut().expect("a fully connected part").weight.fill(f32::MAX);
         let mut moving = start.clone();
         moving.velocity[3] = [1.0; 3];
         for (weights, mut particles) in [(&weights, fast), (&large, moving)] {
@@ -159,7 +162,7 @@ fn numbers_that_are_none_show_in_the_positions() {
 #[test]
 fn a_wall_particle_at_the_same_place_does_not_count() {
     let mut numbers = Numbers(4);
-    let weights = weights(Integration::Paper, &[], &mut numbers);
+    let weights = weights(config(Integration::Paper, &[]), &mut numbers);
     let at = |position: [f32; 3]| Boundary { position: vec![position], normal: vec![[0.0, 1.0, 0.0]] };
     // At rest without acceleration x* is x to the last bit.
     let start = Particles { velocity: vec![[0.0; 3]], ..particles(1, &mut numbers) };

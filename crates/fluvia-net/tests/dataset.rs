@@ -4,7 +4,7 @@
 
 use std::path::{Path, PathBuf};
 
-use fluvia_net::dataset::{Batch, Damaged, DataSet, Loader, Rotation, Sampling};
+use fluvia_net::dataset::{Batch, Damaged, DataSet, Loader, Noise, Rotation, Sampling};
 use fluvia_sim::frames::sequence::{Frame, Part, part_file_name, read_part, write_part};
 use fluvia_sim::particles::Boundary;
 
@@ -15,6 +15,7 @@ fn sampling() -> Sampling {
         steps: 2,
         group: 3,
         axis: Some([0.0, -9.81, 0.0]),
+        noise: Noise::default(),
         viscosity: true,
         reach: 0.3,
         damaged: Damaged::Stop,
@@ -82,13 +83,17 @@ fn an_epoch_has_every_window_and_goes_on_from_any_batch() {
         (0..5).flat_map(|k| (0..7).chain(9..13).map(move |first| (k, first))).collect();
     assert_eq!(starts, all);
 
-    let turned = take(&data, sampling(), 0, 9);
-    assert!(turned.iter().zip(&batches).all(|(a, b)| a.0 != b.0), "turned");
-    for from in [0, 3, 7] {
-        let again = take(&data, sampling(), turned[from].1, 8 - from);
-        assert!(again == turned[from + 1..], "from {from}");
+    let noise = Noise { position: 0.01, velocity: 0.0 };
+    for changed in [sampling(), Sampling { noise, ..straight }] {
+        let other = take(&data, changed.clone(), 0, 9);
+        assert!(other.iter().zip(&batches).all(|(a, b)| a.0 != b.0));
+        for from in [0, 3, 7] {
+            let again = take(&data, changed.clone(), other[from].1, 8 - from);
+            assert!(again == other[from + 1..], "from {from}");
+        }
     }
-    assert!(take(&data, Sampling { seed: 8, ..sampling() }, 0, 1)[0] != turned[0]);
+    let [a, b] = [7, 8].map(|seed| take(&data, Sampling { seed, ..sampling() }, 0, 1));
+    assert!(a != b);
 }
 
 #[test]

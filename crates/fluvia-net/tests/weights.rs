@@ -3,9 +3,10 @@
 
 mod common;
 
+use cconv::{Interpolation, Window};
 use common::{fixture, network, reference};
 use fluvia_net::config::{Config, Integration};
-use fluvia_net::weights::{self, FileKind, Weights};
+use fluvia_net::weights::{self, Dense, FileKind, Weights};
 use proptest::prelude::*;
 
 #[test]
@@ -37,6 +38,11 @@ fn six_outputs_are_positions_and_velocities() {
     assert_eq!(read, network(6));
 }
 
+/// The fully connected part of a layer.
+fn dense(weights: &mut Weights, layer: usize) -> &mut Dense {
+    weights.layers[layer].dense.as_mut().unwrap()
+}
+
 #[test]
 fn a_network_of_other_widths_and_inputs_survives_safetensors() {
     let config = Config {
@@ -50,9 +56,10 @@ fn a_network_of_other_widths_and_inputs_survives_safetensors() {
         density: 998.2,
         output_scale: 0.1,
         integration: Integration::Velocity,
+        ..Config::default()
     };
     let mut weights = Weights::zeros(config, 16, &[12, 7, 12]);
-    weights.layers[1].dense.weight[3] = -0.0;
+    dense(&mut weights, 1).weight[3] = -0.0;
     weights.layers[3].convolution.kernel[11] = f32::MIN_POSITIVE / 4.0;
     weights.training = Some("{\"iterations\": 50000, \"note\": \"\u{fc}\"}".into());
     let bytes = weights::to_safetensors(&weights).unwrap();
@@ -63,10 +70,29 @@ fn a_network_of_other_widths_and_inputs_survives_safetensors() {
 }
 
 #[test]
+fn the_networks_of_the_ablations_survive_safetensors() {
+    for (interpolation, window, fully_connected) in [
+        (Interpolation::Nearest, Window::Poly6, true),
+        (Interpolation::LinearBorder, Window::Triangular, false),
+        (Interpolation::Linear, Window::None, false),
+    ] {
+        let config = Config { interpolation, window, fully_connected, ..Config::default() };
+        let weights = Weights::random(config, 3, &[4, 4], 1);
+        let read = weights::from_bytes("x", weights::to_safetensors(&weights).unwrap()).unwrap();
+        assert_eq!(read, weights);
+        let dense = weights.tensors().iter().filter(|tensor| tensor.name.starts_with("dense")).count();
+        assert_eq!(dense, if fully_connected { 8 } else { 0 });
+        assert_eq!(weights.clone().values_mut().len(), weights.tensors().len());
+    }
+}
+
+#[test]
 fn weights_that_do_not_fit_are_not_written() {
     type Change = fn(&mut Weights);
-    let changes: [(Change, &str); 6] = [
-        (|w| w.layers[0].dense.bias[1] = f32::NAN, "tensor `dense1.bias`: value 1 is NaN"),
+    let changes: [(Change, &str); 8] = [
+        (|w| w.layers[1].dense = None, "dense2 is missing in a fully connected network"),
+        (|w| w.config.fully_connected = false, "dense0_fluid in a network that is not fully connected"),
+        (|w| dense(w, 0).bias[1] = f32::NAN, "tensor `dense1.bias`: value 1 is NaN"),
         (|w| w.layers[1].convolution.outputs = 4, "conv2 outputs: 4, expected 3"),
         (|w| w.config.extra_inputs.push("age".into()), "conv0_fluid inputs: 4, expected 5"),
         (
@@ -147,9 +173,10 @@ proptest! {
             density,
             output_scale: scale,
             integration: Integration::Paper,
+            ..Config::default()
         };
         let mut weights = Weights::zeros(config, first, &hidden);
-        weights.layers[0].dense.weight[0] = value;
+        dense(&mut weights, 0).weight[0] = value;
         weights.training = training;
         let read = weights::from_bytes("x", weights::to_safetensors(&weights).unwrap()).unwrap();
         prop_assert_eq!(read, weights);
@@ -176,7 +203,7 @@ fn the_published_files_hold_the_same_network() {
     assert_eq!(pt.parameters(), 65 * (96 * 64 + 64 * 64 + 64 * 3 + 4 * 32) + 64 * 3 * 32 + biases);
     // conv0_fluid.kernel[0, 0, 0, 0, 1] and dense1.weight[0, 1] as PyTorch prints them, to its last digit.
     assert_eq!(pt.fluid.kernel[1], 0.361_067_9);
-    assert_eq!(pt.layers[0].dense.weight[64], -0.010_485_196);
+    assert_eq!(pt.layers[0].dense.as_ref().unwrap().weight[64], -0.010_485_196);
     let bytes = weights::to_safetensors(&pt).unwrap();
     assert_eq!(weights::to_safetensors(&h5).unwrap(), bytes);
     assert_eq!(weights::from_bytes("x", bytes).unwrap(), pt);
@@ -185,12 +212,12 @@ fn the_published_files_hold_the_same_network() {
 /// The network of the cases: zero but for six numbers.
 fn probe() -> Weights {
     let mut probe = Weights::zeros(Config::default(), 32, &[64, 64]);
-    probe.fluid_dense.weight[3] = 2.0;
-    probe.layers[0].dense.weight[(64 + 3) * 64 + 10] = 0.5;
-    probe.layers[1].dense.weight[10 * 64 + 20] = 3.0;
-    probe.layers[2].dense.weight[10 * 3] = 1.25;
-    probe.layers[2].dense.weight[20 * 3 + 1] = 0.3125;
-    probe.layers[2].dense.bias[2] = -0.625;
+    probe.fluid_dense.as_mut().unwrap().weight[3] = 2.0;
+    dense(&mut probe, 0).weight[(64 + 3) * 64 + 10] = 0.5;
+    dense(&mut probe, 1).weight[10 * 64 + 20] = 3.0;
+    dense(&mut probe, 2).weight[10 * 3] = 1.25;
+    dense(&mut probe, 2).weight[20 * 3 + 1] = 0.3125;
+    dense(&mut probe, 2).bias[2] = -0.625;
     probe
 }
 

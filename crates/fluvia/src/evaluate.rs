@@ -1,10 +1,10 @@
 //! `fluvia evaluate`: how far solvers are from true sequences, by the paper's metrics and by what they miss.
 
-mod figures;
+pub mod figures;
 mod report;
 mod truth;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::{Context, Result, bail};
@@ -19,6 +19,7 @@ use crate::curves::Curves;
 use crate::options::{PrecisionName, labelled, positive, substep, thread_pool, threads};
 use crate::report::Report;
 use crate::solvers::{Choice, SolverName};
+use figures::Figures;
 use truth::Recorded;
 
 /// Options of `fluvia evaluate`.
@@ -159,6 +160,26 @@ fn candidates(args: &Args, truths: &[Recorded]) -> Result<Vec<Candidate>> {
         }
     }
     Ok(candidates)
+}
+
+/// The figures of weights on the sequences of a data set.
+///
+/// # Errors
+/// If weights or frames cannot be read, or do not fit each other.
+pub fn of_weights(path: &Path, precision: PrecisionName, data: &Path, report: &Report) -> Result<Figures> {
+    let choice = Choice::Network(Box::new(weights::load(path)?), precision);
+    let candidate = Candidate { label: path.display().to_string(), choice };
+    let (mut sequences, mut outcomes) = (Vec::new(), Vec::new());
+    for path in truth::find(data)? {
+        let mut truth = Recorded::open(&path, None, report)?;
+        candidate.choice.check(&path, &truth.setup)?;
+        let frames = truth.frames();
+        let bar = report.bar(2 * (frames.end - frames.start));
+        sequences.push(measure(&mut truth, &bar)?);
+        outcomes.push(outcome(&candidate, &mut truth, &bar)?);
+        bar.finish_and_clear();
+    }
+    Ok(Figures::of(&sequences.iter().zip(&outcomes).collect::<Vec<_>>()))
 }
 
 /// Reads all true frames.

@@ -21,16 +21,16 @@ use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Mutex, PoisonError};
 
 use anyhow::{Context, Result, bail};
 use cconv::Kernel;
 use fluvia_sim::scene::random::random_scene;
 use indicatif::ProgressBar;
 
+use crate::interrupt;
 use crate::options::{positive, thread_pool, threads};
 use crate::report::Report;
-use crate::simulate::INTERRUPTED;
 pub use manifest::FILE as MANIFEST;
 use plan::{Plan, Preset, Task};
 use scene::Outcome;
@@ -129,9 +129,7 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
     }
     try_first(&plan, &tasks[0], report)?;
     manifest::begin(&args.out, &plan.settings, args.shard.is_some())?;
-    let interrupted = Arc::new(AtomicBool::new(false));
-    let flag = Arc::clone(&interrupted);
-    ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("cannot watch for Ctrl-C")?;
+    let interrupted = interrupt::watch()?;
 
     let progress = Progress::new(&plan, &tasks, report);
     let finished = simulate(args, &plan, &tasks, &interrupted, &progress);
@@ -146,7 +144,7 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
     }
     if !finished {
         report.note("stopped; the same command goes on");
-        return Ok(ExitCode::from(INTERRUPTED));
+        return Ok(interrupt::exit_code());
     }
     Ok(ExitCode::SUCCESS)
 }

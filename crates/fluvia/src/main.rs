@@ -3,6 +3,7 @@
 //! Exit codes: 0 done, 1 failed (one line `error: …` on standard error says why), 2 wrong usage, 130 stopped by
 //! Ctrl-C with everything up to there on disk.
 
+mod ablate;
 mod bench;
 mod compare;
 mod convert;
@@ -12,6 +13,7 @@ mod evaluate;
 mod frame_source;
 mod generate;
 mod inspect;
+mod interrupt;
 mod options;
 mod plot;
 mod plots;
@@ -52,6 +54,8 @@ enum Command {
     Generate(generate::Args),
     /// Train a network on a data set.
     Train(train::Args),
+    /// Train and evaluate variants of a training, the paper's ablations for instance.
+    Ablate(ablate::Args),
     /// Draw the curves of trainings.
     Plot(plot::Args),
     /// Say how far solvers are from true sequences.
@@ -80,6 +84,7 @@ fn main() -> ExitCode {
         Command::Simulate(args) => simulate::run(&args, &report),
         Command::Generate(args) => generate::run(&args, &report),
         Command::Train(args) => train::run(&args, &report),
+        Command::Ablate(args) => ablate::run(&args, &report),
         Command::Plot(args) => plot::run(&args, &report),
         Command::Evaluate(args) => evaluate::run(&args, &report),
         Command::Compare(args) => compare::run(&args, &report),

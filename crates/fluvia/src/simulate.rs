@@ -2,8 +2,7 @@
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 use std::time::Instant;
 
 use anyhow::{Context, Result};
@@ -14,14 +13,12 @@ use fluvia_sim::frames::{Format, Mode, RunDirectory};
 use fluvia_sim::rollout::{Rollout, Solver, StepReport};
 use fluvia_sim::scene::{DEFAULT_DT, Setup};
 
+use crate::interrupt;
 use crate::options::{PrecisionName, positive, substep, thread_pool, threads};
 use crate::record::{self, Record, Source, Summary};
 use crate::report::Report;
 use crate::resume;
 use crate::solvers::{Choice, SolverName};
-
-/// The exit code of a run that Ctrl-C stopped, as shells give it to a process ended by that signal.
-pub const INTERRUPTED: u8 = 130;
 
 /// Options of `fluvia simulate`.
 #[derive(clap::Args)]
@@ -180,10 +177,7 @@ fn simulate(args: &Args, report: &Report, prepared: Prepared) -> Result<ExitCode
         directory.write_walls(&setup.boundary)?;
         resume::write(&mut directory, rollout.state())?;
     }
-    let interrupted = Arc::new(AtomicBool::new(false));
-    let flag = Arc::clone(&interrupted);
-    ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("cannot watch for Ctrl-C")?;
-
+    let interrupted = interrupt::watch()?;
     let first_step = rollout.state().step;
     // Fits the 80 columns of a plain terminal up to millions of particles.
     let bar = report.bar_like(args.steps, "{bar:16} step {pos}/{len}, {msg}, {eta} left");
@@ -226,7 +220,7 @@ fn simulate(args: &Args, report: &Report, prepared: Prepared) -> Result<ExitCode
             "stopped after step {}; the same command with --resume goes on",
             rollout.state().step
         ));
-        return Ok(ExitCode::from(INTERRUPTED));
+        return Ok(interrupt::exit_code());
     }
     Ok(ExitCode::SUCCESS)
 }

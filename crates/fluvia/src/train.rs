@@ -8,13 +8,12 @@
 //! RUN/metrics.jsonl            what was found on the way; also as TensorBoard's events
 //! ```
 
-mod config;
+pub mod config;
 mod events;
 pub mod log;
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
@@ -28,16 +27,16 @@ use fluvia_sim::frames;
 use indicatif::ProgressBar;
 use serde_json::{Value, json};
 
+use crate::interrupt;
 use crate::options::{thread_pool, threads};
 use crate::record::{decimal, first_difference};
 use crate::report::Report;
-use crate::simulate::INTERRUPTED;
-use config::Config;
+use config::{Config, Data};
 use log::{Line, Log};
 
 const SETTINGS: &str = "config.json";
 const CHECKPOINT: &str = "checkpoint.safetensors";
-const WEIGHTS: &str = "weights.safetensors";
+pub const WEIGHTS: &str = "weights.safetensors";
 const BEST: &str = "best.safetensors";
 
 /// Options of `fluvia train`.
@@ -45,15 +44,15 @@ const BEST: &str = "best.safetensors";
 #[command(after_help = "\
 Examples:
   fluvia generate --preset default --out data/default
-  fluvia train assets/configs/paper.toml --data data/default --out out/paper
-  fluvia train assets/configs/paper.toml --data data/default --out out/paper --resume
+  fluvia train paper --data data/default --out out/paper
+  fluvia train paper --data data/default --out out/paper --resume
 
 DIR of --data has the folders train and valid. A run that was interrupted or killed goes on with --resume from its last
 checkpoint, to the same weights as one that was not.")]
 pub struct Args {
-    /// The settings (TOML).
+    /// The settings: a file (TOML), or the name of one in assets/configs.
     #[arg(value_name = "CONFIG")]
-    config: PathBuf,
+    config: String,
     /// The data set, with the folders `train` and `valid`; takes the place of `data` in the settings.
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
@@ -89,19 +88,65 @@ pub struct Args {
     json: bool,
 }
 
+/// A training: its settings, and how it begins and writes.
+pub struct Plan {
+    pub config: Config,
+    pub out: PathBuf,
+    /// Weights to begin with, if not random ones.
+    pub weights: Option<PathBuf>,
+    /// Updates from one checkpoint to the next.
+    pub checkpoint: u64,
+    pub skip_damaged: bool,
+    pub resume: bool,
+    pub overwrite: bool,
+}
+
+/// What is known at the end of a training.
+pub struct Trained {
+    pub place: Place,
+    /// The file of the last weights.
+    pub weights: PathBuf,
+}
+
 pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
     let mut config = Config::load(&args.config)?;
     config.training.updates = args.updates.unwrap_or(config.training.updates);
     config.training.seed = args.seed.unwrap_or(config.training.seed);
     if let Some(folder) = &args.data {
-        config.data.train = Some(folder.join("train"));
-        config.data.valid = Some(folder.join("valid"));
+        config.data = Data::of(folder);
     }
-    let weights = match &args.weights {
-        None => config.first_weights(),
-        Some(path) => given_weights(path, &config)?,
+    let plan = Plan {
+        config,
+        out: args.out.clone(),
+        weights: args.weights.clone(),
+        checkpoint: args.checkpoint,
+        skip_damaged: args.skip_damaged,
+        resume: args.resume,
+        overwrite: args.overwrite,
     };
-    thread_pool(args.threads)?.install(|| Run::new(args, config, weights, report)?.train())
+    let interrupted = interrupt::watch()?;
+    let trained = thread_pool(args.threads)?.install(|| train(&plan, &interrupted, report))?;
+    let Some(Trained { place: Place { updates, particle_samples, best, seconds, .. }, weights }) = trained
+    else {
+        return Ok(interrupt::exit_code());
+    };
+    if args.json {
+        report.result(json!({
+            "updates": updates,
+            "particle_samples": particle_samples,
+            "seconds": seconds,
+            "best_update": best.map(|best| best.0),
+            "best_err_mm": best.map(|best| 1e3 * best.1),
+            "weights": weights,
+        }))?;
+    } else if !report.is_quiet() {
+        report.result(format_args!("{}: {updates} updates", weights.display()))?;
+        if let Some((update, error)) = best {
+            let error = 1e3 * error;
+            report.result(format_args!("lowest validation error {error:.3} mm after update {update}"))?;
+        }
+    }
+    Ok(ExitCode::SUCCESS)
 }
 
 /// Weights to begin with, which must be of the network of the settings.
@@ -117,11 +162,22 @@ fn given_weights(path: &Path, config: &Config) -> Result<Weights> {
     Ok(given)
 }
 
+/// Trains to the end; `None` if the flag told it to stop before.
+///
+/// # Errors
+/// If data or weights cannot be read, the directory holds another training, a file cannot be written, or a loss is not finite.
+pub fn train(plan: &Plan, interrupted: &AtomicBool, report: &Report) -> Result<Option<Trained>> {
+    let weights = match &plan.weights {
+        None => plan.config.first_weights(),
+        Some(path) => given_weights(path, &plan.config)?,
+    };
+    Run::new(plan, weights, report)?.train(interrupted)
+}
+
 /// A training that runs.
 struct Run<'a> {
-    args: &'a Args,
+    plan: &'a Plan,
     report: &'a Report,
-    config: Config,
     trainer: Trainer,
     place: Place,
     loader: Loader,
@@ -133,13 +189,14 @@ struct Run<'a> {
 }
 
 impl<'a> Run<'a> {
-    fn new(args: &'a Args, config: Config, weights: Weights, report: &'a Report) -> Result<Run<'a>> {
+    fn new(plan: &'a Plan, weights: Weights, report: &'a Report) -> Result<Run<'a>> {
+        let config = &plan.config;
         let folder = |folder: &Option<PathBuf>, name: &str| {
             folder
                 .clone()
                 .with_context(|| format!("no data: expected --data, or `data.{name}` in the settings"))
         };
-        let damaged = if args.skip_damaged { Damaged::Skip } else { Damaged::Stop };
+        let damaged = if plan.skip_damaged { Damaged::Skip } else { Damaged::Stop };
         let sampling = config.sampling(damaged);
         let data = DataSet::open(&folder(&config.data.train, "train")?)?;
         let validation = match &config.data.valid {
@@ -152,10 +209,10 @@ impl<'a> Run<'a> {
                 None
             }
         };
-        let settings = settings(args, &config, &data);
-        let path = args.out.join(CHECKPOINT);
+        let settings = settings(plan, &data);
+        let path = plan.out.join(CHECKPOINT);
         let options = config.options();
-        let (trainer, place) = if args.resume && path.exists() {
+        let (trainer, place) = if plan.resume && path.exists() {
             let Checkpoint { place, weights: values, adam, averages } =
                 Checkpoint::load(&path, &weights, options.adam)?;
             let old: Value = serde_json::from_str(&place.settings)?;
@@ -168,29 +225,26 @@ impl<'a> Run<'a> {
                 .note(format_args!("resuming after update {} of {}", place.updates, config.training.updates));
             (Trainer::resume(options, weights, adam, averages, Kernel::detect())?, place)
         } else {
-            if path.exists() && !args.overwrite {
-                bail!("{}: holds a training; expected --resume or --overwrite", args.out.display());
+            if path.exists() && !plan.overwrite {
+                bail!("{}: holds a training; expected --resume or --overwrite", plan.out.display());
             }
-            std::fs::create_dir_all(&args.out).with_context(|| args.out.display().to_string())?;
-            frames::write_json(&args.out.join(SETTINGS), &settings)?;
+            std::fs::create_dir_all(&plan.out).with_context(|| plan.out.display().to_string())?;
+            frames::write_json(&plan.out.join(SETTINGS), &settings)?;
             let place = Place { settings: settings.to_string(), ..Place::default() };
             (Trainer::new(options, weights, Kernel::detect())?, place)
         };
         let loader = Loader::start(&data, sampling, place.position)?;
-        let log = Log::open(&args.out, place.updates)?;
+        let log = Log::open(&plan.out, place.updates)?;
         let bar = report.bar_like(config.training.updates, "{bar:16} update {pos}/{len}, {msg}, {eta} left");
         bar.set_position(place.updates);
         bar.reset_eta();
         let start = (Instant::now(), place.seconds);
-        Ok(Run { args, report, config, trainer, place, loader, validation, log, bar, start })
+        Ok(Run { plan, report, trainer, place, loader, validation, log, bar, start })
     }
 
-    fn train(mut self) -> Result<ExitCode> {
-        let interrupted = Arc::new(AtomicBool::new(false));
-        let flag = Arc::clone(&interrupted);
-        ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("cannot watch for Ctrl-C")?;
+    fn train(mut self, interrupted: &AtomicBool) -> Result<Option<Trained>> {
         let mut shown = None;
-        while self.place.updates < self.config.training.updates {
+        while self.place.updates < self.plan.config.training.updates {
             let Loaded { batch, next, skipped } = self.loader.take()?;
             for message in skipped {
                 self.bar.suspend(|| self.report.warning(format_args!("left out: {message}")));
@@ -203,7 +257,7 @@ impl<'a> Run<'a> {
             self.place.position = next;
             self.place.particle_samples += particles;
             let updates = self.place.updates;
-            let last = updates == self.config.training.updates;
+            let last = updates == self.plan.config.training.updates;
             self.log.add(&Line::Train {
                 update: updates,
                 loss,
@@ -216,28 +270,29 @@ impl<'a> Run<'a> {
             let thousand = particles_per_s / 1e3;
             self.bar.set_message(format!("loss {smooth:.3}, rate {rate:.1e}, {thousand:.0}k particles/s"));
             self.bar.inc(1);
-            if updates.is_multiple_of(self.config.validation.every) || last {
+            if updates.is_multiple_of(self.plan.config.validation.every) || last {
                 self.validate()?;
             }
             let stop = interrupted.load(Ordering::Relaxed);
-            if updates.is_multiple_of(self.args.checkpoint) || last || stop {
+            if updates.is_multiple_of(self.plan.checkpoint) || last || stop {
                 self.save()?;
             }
             if stop && !last {
                 self.bar.finish_and_clear();
                 self.report.note(format_args!("stopped after update {updates}; --resume goes on"));
-                return Ok(ExitCode::from(INTERRUPTED));
+                return Ok(None);
             }
         }
         self.bar.finish_and_clear();
-        self.end()
+        let weights = self.plan.out.join(WEIGHTS);
+        Ok(Some(Trained { place: Place { seconds: self.seconds(), ..self.place }, weights }))
     }
 
     /// The errors on the validation windows; the best weights are kept.
     fn validate(&mut self) -> Result<()> {
         let weights = self.result();
         let Some(validation) = &self.validation else { return Ok(()) };
-        let errors = validation.errors(&weights, &self.config.options(), Kernel::detect())?;
+        let errors = validation.errors(&weights, &self.plan.config.options(), Kernel::detect())?;
         let mm = |step: usize| 1e3 * errors.position.get(step).copied().unwrap_or_default();
         let update = self.place.updates;
         let line = Line::Valid { update, loss: errors.loss, err_n1_mm: mm(0), err_n2_mm: mm(1) };
@@ -245,7 +300,7 @@ impl<'a> Run<'a> {
         let judged = errors.position.last().copied().unwrap_or(f64::INFINITY);
         if self.place.best.is_none_or(|(_, best)| judged < best) {
             self.place.best = Some((update, judged));
-            save_safetensors(self.args.out.join(BEST), &weights)?;
+            save_safetensors(self.plan.out.join(BEST), &weights)?;
         }
         Ok(())
     }
@@ -267,43 +322,19 @@ impl<'a> Run<'a> {
 
     fn save(&mut self) -> Result<()> {
         self.place.seconds = self.seconds();
-        save_safetensors(self.args.out.join(WEIGHTS), &self.result())?;
+        save_safetensors(self.plan.out.join(WEIGHTS), &self.result())?;
         let checkpoint = self.trainer.checkpoint(self.place.clone());
-        checkpoint.save(&self.args.out.join(CHECKPOINT), self.trainer.weights())?;
+        checkpoint.save(&self.plan.out.join(CHECKPOINT), self.trainer.weights())?;
         Ok(())
-    }
-
-    fn end(&self) -> Result<ExitCode> {
-        let out = self.args.out.join(WEIGHTS);
-        let Place { updates, particle_samples, best, .. } = self.place;
-        if self.args.json {
-            self.report.result(json!({
-                "updates": updates,
-                "particle_samples": particle_samples,
-                "seconds": self.seconds(),
-                "best_update": best.map(|best| best.0),
-                "best_err_mm": best.map(|best| 1e3 * best.1),
-                "weights": out,
-            }))?;
-        } else if !self.report.is_quiet() {
-            self.report.result(format_args!("{}: {updates} updates", out.display()))?;
-            if let Some((update, error)) = best {
-                self.report.result(format_args!(
-                    "lowest validation error {:.3} mm after update {update}",
-                    1e3 * error
-                ))?;
-            }
-        }
-        Ok(ExitCode::SUCCESS)
     }
 }
 
 /// What the bits of a training depend on.
-fn settings(args: &Args, config: &Config, data: &DataSet) -> Value {
-    let mut value = serde_json::to_value(config).unwrap_or_default();
+fn settings(plan: &Plan, data: &DataSet) -> Value {
+    let mut value = serde_json::to_value(&plan.config).unwrap_or_default();
     value["data"]["parts"] = json!(data.parts().len());
     value["data"]["frames"] = json!(data.parts().iter().map(|part| part.frames).sum::<usize>());
-    value["first_weights"] = json!(args.weights);
+    value["first_weights"] = json!(plan.weights);
     value["version"] = json!(env!("CARGO_PKG_VERSION"));
     value
 }

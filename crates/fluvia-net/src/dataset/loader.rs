@@ -8,14 +8,15 @@ use fluvia_neighbors::Point;
 use fluvia_sim::frames::sequence::{Part, read_part};
 
 use super::order::{Order, stream};
-use super::{Batch, DataSet, Rotation};
+use super::{Batch, DataSet, Noise, Rotation};
 use crate::{Error, Result};
 
 /// Batches that are ready before they are asked for.
 const AHEAD: usize = 4;
 
-/// What of the random numbers is for rotations.
+/// What of the random numbers is for rotations, and for noise.
 const ROTATIONS: u64 = u64::MAX - 1;
+const NOISE: u64 = u64::MAX - 2;
 
 /// What is done about a part that cannot be read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -39,6 +40,8 @@ pub struct Sampling {
     pub group: usize,
     /// The axis of random rotations; `None` turns nothing.
     pub axis: Option<Point>,
+    /// What is added to the states that windows start from.
+    pub noise: Noise,
     /// Whether particles have their viscosity as an extra input.
     pub viscosity: bool,
     /// How far from the fluid wall particles are kept, metres.
@@ -133,6 +136,7 @@ impl Reader {
             while self.position < group.positions.end {
                 let window = group.windows[(self.position - group.positions.start) as usize];
                 let rotation = self.rotation();
+                let mut noise = stream(self.sampling.seed, [NOISE, self.position]);
                 self.position += 1;
                 let Some(part) = &parts[window.part] else {
                     missed += 1;
@@ -144,6 +148,7 @@ impl Reader {
                 missed = 0;
                 let Sampling { viscosity, reach, .. } = self.sampling;
                 batch.push(part, window.first, &rotation, viscosity, reach);
+                batch.disturb(self.sampling.noise, &mut noise);
                 if batch.clouds.len() > size {
                     let batch = std::mem::replace(&mut batch, Batch::new(steps));
                     let skipped = std::mem::take(&mut self.skipped);

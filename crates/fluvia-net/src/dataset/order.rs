@@ -82,6 +82,12 @@ pub fn stream(seed: u64, names: [u64; 2]) -> Pcg64 {
     Pcg64::from_seed(bytes)
 }
 
+/// A number from 0 to below 1.
+pub fn unit(random: &mut Pcg64) -> f64 {
+    // 53 bits, as many as a float64 has.
+    (random.next_u64() >> 11) as f64 / (1u64 << 53) as f64
+}
+
 /// Fisher and Yates.
 fn shuffle<T>(values: &mut [T], random: &mut Pcg64) {
     for i in (1..values.len()).rev() {

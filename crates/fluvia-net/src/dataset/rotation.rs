@@ -4,7 +4,8 @@ use std::f64::consts::TAU;
 
 use fluvia_neighbors::Point;
 use rand_pcg::Pcg64;
-use rand_pcg::rand_core::Rng;
+
+use super::order::unit;
 
 /// A rotation about an axis through the origin.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -33,9 +34,7 @@ impl Rotation {
 
     /// By a random angle.
     pub fn random(axis: Point, random: &mut Pcg64) -> Rotation {
-        // 53 bits, as many as a float64 has.
-        let turn = (random.next_u64() >> 11) as f64 / (1u64 << 53) as f64;
-        Rotation::about(axis, TAU * turn)
+        Rotation::about(axis, TAU * unit(random))
     }
 
     /// A vector, turned.

@@ -24,9 +24,8 @@ use super::{
 const OBSTACLE: usize = 0;
 const FLUID: usize = 2;
 const FLUID_DENSE: usize = 4;
-/// Where the tensors of the layers after the first start, and how many a layer has: kernel, bias, weights, bias.
-const LAYERS: usize = 6;
-const LAYER_TENSORS: usize = 4;
+/// A convolution has a kernel and a bias, a fully connected part weights and a bias.
+const PART: usize = 2;
 
 /// Where [`Network::backward`] adds derivatives; only those that are asked for are computed.
 #[derive(Debug, Default)]
@@ -74,14 +73,18 @@ impl Network {
                 ..Gradients::default()
             };
             let mut by_dense_bias = Gradients::default();
-            let place = LAYERS + k * LAYER_TENSORS;
-            let by_layer = tensors.as_deref_mut().map(|tensors| &mut tensors[place..place + LAYER_TENSORS]);
-            if let Some([kernel, bias, weight, dense_bias]) = by_layer {
+            let dense_part = if self.fluid_dense.is_some() { PART } else { 0 };
+            let of_layer = PART + dense_part;
+            let place = 2 * PART + dense_part + k * of_layer;
+            let by_layer = tensors.as_deref_mut().map(|tensors| &mut tensors[place..place + of_layer]);
+            if let Some([kernel, bias, dense @ ..]) = by_layer {
                 wanted.filter = Some(kernel);
                 wanted.bias = Some(bias);
-                wanted.pointwise = Some(weight);
-                // The two biases are added to the same sum.
-                by_dense_bias.bias = Some(dense_bias);
+                if let [weight, dense_bias] = dense {
+                    wanted.pointwise = Some(weight);
+                    // The two biases are added to the same sum.
+                    by_dense_bias.bias = Some(dense_bias);
+                }
             }
             backward(geometry, layer, activated, &by_values, wanted, workspace);
             backward(geometry, layer, activated, &by_values, by_dense_bias, workspace);
@@ -119,14 +122,17 @@ impl Network {
             by_values.chunks_exact(stride).flat_map(|row| &row[first..first + width]).copied().collect()
         };
 
-        let by_dense = columns(walls_width + fluid_width, dense_width);
-        let mut wanted = DenseGradients { features: by_features.as_deref_mut(), ..DenseGradients::default() };
-        if let Some([weight, bias]) = part(&mut tensors, FLUID_DENSE) {
-            wanted.weights = Some(weight);
-            wanted.bias = Some(bias);
+        if let Some(layer) = &self.fluid_dense {
+            let by_dense = columns(walls_width + fluid_width, dense_width);
+            let mut wanted =
+                DenseGradients { features: by_features.as_deref_mut(), ..DenseGradients::default() };
+            if let Some([weight, bias]) = part(&mut tensors, FLUID_DENSE) {
+                wanted.weights = Some(weight);
+                wanted.bias = Some(bias);
+            }
+            let clouds = fluid.clouds;
+            dense_backward(layer, fluid.features, &by_dense, clouds, wanted, workspace, self.kernel);
         }
-        let (layer, clouds) = (&self.fluid_dense, fluid.clouds);
-        dense_backward(layer, fluid.features, &by_dense, clouds, wanted, workspace, self.kernel);
 
         let by_fluid = columns(walls_width, fluid_width);
         let mut wanted = Gradients {
@@ -181,7 +187,7 @@ impl Network {
 
 /// The gradients of a kernel or weights, and of the bias that follows.
 fn part<'a>(tensors: &'a mut Option<&mut [Vec<f32>]>, place: usize) -> Option<&'a mut [Vec<f32>]> {
-    tensors.as_deref_mut().map(|tensors| &mut tensors[place..place + 2])
+    tensors.as_deref_mut().map(|tensors| &mut tensors[place..place + PART])
 }
 
 /// Derivatives by h from those by relu(h).

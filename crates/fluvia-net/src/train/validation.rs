@@ -101,7 +101,7 @@ impl Validation {
                     let rows = cloud[0]..cloud[1];
                     *error += mean_distance(&state.position[rows.clone()], &truth.position[rows]) / windows;
                 }
-                neighbors.push(step.neighbor_counts());
+                neighbors.push(step.neighbor_counts(&network));
                 states.push(state.clone());
             }
             if states.len() == steps {

@@ -28,13 +28,16 @@ pub(super) fn network(archive: &mut dyn Archive) -> Result<Weights, String> {
 
     let obstacle = tensors.convolution("conv0_obstacle", WALL_INPUTS, None, &config)?;
     let fluid = tensors.convolution("conv0_fluid", config.fluid_inputs(), None, &config)?;
-    let fluid_dense = tensors.dense("dense0_fluid", config.fluid_inputs(), None)?;
-    let mut width = obstacle.outputs + fluid.outputs + fluid_dense.outputs;
+    let dense = |tensors: &mut Tensors<'_>, name: &str, inputs, outputs| {
+        config.fully_connected.then(|| tensors.dense(name, inputs, outputs)).transpose()
+    };
+    let fluid_dense = dense(&mut tensors, "dense0_fluid", config.fluid_inputs(), None)?;
+    let mut width = obstacle.outputs + fluid.outputs + fluid_dense.as_ref().map_or(0, |part| part.outputs);
     let mut layers = Vec::new();
     for number in 1..=last {
         let outputs = (number == last).then(|| config.integration.outputs());
         let convolution = tensors.convolution(&format!("conv{number}"), width, outputs, &config)?;
-        let dense = tensors.dense(&format!("dense{number}"), width, Some(convolution.outputs))?;
+        let dense = dense(&mut tensors, &format!("dense{number}"), width, Some(convolution.outputs))?;
         width = convolution.outputs;
         layers.push(Layer { convolution, dense });
     }

@@ -21,12 +21,16 @@ impl Weights {
         let glorot = |dense: &Dense| (6.0 / (dense.inputs + dense.outputs) as f32).sqrt();
         fill(&mut weights.obstacle.kernel, FILTER_RANGE);
         fill(&mut weights.fluid.kernel, FILTER_RANGE);
-        let range = glorot(&weights.fluid_dense);
-        fill(&mut weights.fluid_dense.weight, range);
-        for Layer { convolution, dense } in &mut weights.layers {
-            fill(&mut convolution.kernel, FILTER_RANGE);
+        if let Some(dense) = &mut weights.fluid_dense {
             let range = glorot(dense);
             fill(&mut dense.weight, range);
+        }
+        for Layer { convolution, dense } in &mut weights.layers {
+            fill(&mut convolution.kernel, FILTER_RANGE);
+            if let Some(dense) = dense {
+                let range = glorot(dense);
+                fill(&mut dense.weight, range);
+            }
         }
         weights
     }

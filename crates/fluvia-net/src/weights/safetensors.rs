@@ -13,6 +13,7 @@
 use std::ops::Range;
 use std::path::Path;
 
+use cconv::{Interpolation, Window};
 use fluvia_sim::frames::write_atomically;
 use safetensors::tensor::{Dtype, SafeTensorError, SafeTensors, TensorView, serialize};
 use serde::{Deserialize, Serialize};
@@ -109,6 +110,35 @@ struct NetworkRecord {
     filter_size: [usize; 3],
     extra_inputs: Vec<String>,
     output_scale: f32,
+    // What the paper's ablations vary: files of the published network do not have it.
+    #[serde(default, skip_serializing_if = "is_default")]
+    interpolation: InterpolationRecord,
+    #[serde(default, skip_serializing_if = "is_default")]
+    window: WindowRecord,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    fully_connected: Option<bool>,
+}
+
+fn is_default<T: Default + PartialEq>(value: &T) -> bool {
+    *value == T::default()
+}
+
+#[derive(Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum InterpolationRecord {
+    #[default]
+    Linear,
+    LinearBorder,
+    Nearest,
+}
+
+#[derive(Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum WindowRecord {
+    #[default]
+    Poly6,
+    Triangular,
+    None,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -127,6 +157,17 @@ impl Record {
                 filter_size: config.filter_size,
                 extra_inputs: config.extra_inputs.clone(),
                 output_scale: config.output_scale,
+                interpolation: match config.interpolation {
+                    Interpolation::Linear => InterpolationRecord::Linear,
+                    Interpolation::LinearBorder => InterpolationRecord::LinearBorder,
+                    Interpolation::Nearest => InterpolationRecord::Nearest,
+                },
+                window: match config.window {
+                    Window::Poly6 => WindowRecord::Poly6,
+                    Window::Triangular => WindowRecord::Triangular,
+                    Window::None => WindowRecord::None,
+                },
+                fully_connected: (!config.fully_connected).then_some(false),
             },
             particle_radius: config.particle_radius,
             filter_radius: config.filter_radius,
@@ -153,6 +194,17 @@ impl Record {
             viscosity: self.viscosity,
             density: self.density,
             output_scale: self.network.output_scale,
+            interpolation: match self.network.interpolation {
+                InterpolationRecord::Linear => Interpolation::Linear,
+                InterpolationRecord::LinearBorder => Interpolation::LinearBorder,
+                InterpolationRecord::Nearest => Interpolation::Nearest,
+            },
+            window: match self.network.window {
+                WindowRecord::Poly6 => Window::Poly6,
+                WindowRecord::Triangular => Window::Triangular,
+                WindowRecord::None => Window::None,
+            },
+            fully_connected: self.network.fully_connected.unwrap_or(true),
             integration: match self.integration {
                 IntegrationRecord::Paper => Integration::Paper,
                 IntegrationRecord::Velocity => Integration::Velocity,

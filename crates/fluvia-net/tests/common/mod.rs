@@ -52,10 +52,10 @@ pub fn network(outputs: usize) -> Weights {
         config: Config { filter_size: FILTER, integration, ..Config::default() },
         obstacle: convolution(0, 3, 2),
         fluid: convolution(2, 4, 3),
-        fluid_dense: dense(8, 4, 1),
+        fluid_dense: Some(dense(8, 4, 1)),
         layers: vec![
-            Layer { convolution: convolution(4, 6, 2), dense: dense(10, 6, 2) },
-            Layer { convolution: convolution(6, 2, outputs), dense: dense(12, 2, outputs) },
+            Layer { convolution: convolution(4, 6, 2), dense: Some(dense(10, 6, 2)) },
+            Layer { convolution: convolution(6, 2, outputs), dense: Some(dense(12, 2, outputs)) },
         ],
         training: None,
     }

@@ -1,5 +1,6 @@
 //! Numbers and networks that look random and are the same everywhere.
 
+use cconv::{Interpolation, Window};
 use fluvia_net::config::{Config, Integration};
 use fluvia_net::weights::Weights;
 
@@ -17,10 +18,25 @@ impl Numbers {
     }
 }
 
-/// A small network with random weights.
-pub fn weights(integration: Integration, extra_inputs: &[&str], numbers: &mut Numbers) -> Weights {
+/// A configuration with small filters.
+pub fn config(integration: Integration, extra_inputs: &[&str]) -> Config {
     let extra_inputs = extra_inputs.iter().map(|name| (*name).to_owned()).collect();
-    let config = Config { integration, extra_inputs, filter_size: [3, 4, 2], ..Config::default() };
+    Config { integration, extra_inputs, filter_size: [3, 4, 2], ..Config::default() }
+}
+
+/// What the paper's ablations change, each beside something else.
+#[allow(dead_code, reason = "not all tests need it")]
+pub fn ablations() -> [Config; 3] {
+    let paper = config(Integration::Paper, &["viscosity"]);
+    [
+        Config { interpolation: Interpolation::Nearest, ..config(Integration::Velocity, &["viscosity"]) },
+        Config { window: Window::None, fully_connected: false, ..paper.clone() },
+        Config { window: Window::Triangular, interpolation: Interpolation::LinearBorder, ..paper },
+    ]
+}
+
+/// A small network with random weights.
+pub fn weights(config: Config, numbers: &mut Numbers) -> Weights {
     let mut weights = Weights::zeros(config, 5, &[7, 7]);
     let Weights { obstacle, fluid, fluid_dense, layers, .. } = &mut weights;
     let convolutions =
@@ -28,9 +44,9 @@ pub fn weights(integration: Integration, extra_inputs: &[&str], numbers: &mut Nu
     for convolution in convolutions {
         convolution.kernel.iter_mut().chain(&mut convolution.bias).for_each(|w| *w = 0.3 * numbers.next());
     }
-    for layer in layers.iter_mut() {
-        layer.dense.weight.iter_mut().chain(&mut layer.dense.bias).for_each(|w| *w = 0.3 * numbers.next());
+    let dense = layers.iter_mut().map(|layer| &mut layer.dense).chain([fluid_dense]);
+    for part in dense.flatten() {
+        part.weight.iter_mut().chain(&mut part.bias).for_each(|w| *w = 0.3 * numbers.next());
     }
-    fluid_dense.weight.iter_mut().chain(&mut fluid_dense.bias).for_each(|w| *w = 0.3 * numbers.next());
     weights
 }

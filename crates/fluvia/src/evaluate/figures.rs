@@ -85,7 +85,7 @@ impl StateFigures {
 
 impl Figures {
     /// Of these sequences together.
-    pub fn of(parts: &[(&Sequence, &Outcome)]) -> Figures {
+    pub(super) fn of(parts: &[(&Sequence, &Outcome)]) -> Figures {
         let late = |sequence: &Sequence, frame: u64| {
             let count = sequence.truth.particles.len() as u64;
             5 * (frame - sequence.first) >= 4 * count

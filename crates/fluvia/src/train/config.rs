@@ -3,10 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
-use cconv::PositionGradient;
+use cconv::{Interpolation, PositionGradient, Window};
 use fluvia_net::adam;
 use fluvia_net::config::{Config as NetworkConfig, Integration};
-use fluvia_net::dataset::{Damaged, Sampling};
+use fluvia_net::dataset::{Damaged, Noise, Sampling};
 use fluvia_net::loss::Loss;
 use fluvia_net::train::{Options, Schedule};
 use fluvia_net::unroll::Storage;
@@ -47,6 +47,12 @@ pub struct Network {
     pub first: usize,
     /// Channels of the layers between the first and the last.
     pub hidden: Vec<usize>,
+    /// How filters are looked up between their cells.
+    pub interpolation: InterpolationName,
+    /// The window function of the convolutions.
+    pub window: WindowName,
+    /// Whether each particle has a fully connected part of its own.
+    pub fully_connected: bool,
     /// Whether the viscosity of a particle is an input.
     pub viscosity: bool,
     /// Seconds between frames.
@@ -58,8 +64,17 @@ pub struct Network {
 impl Default for Network {
     fn default() -> Network {
         let NetworkConfig { dt, gravity, .. } = NetworkConfig::default();
-        let integration = IntegrationName::Paper;
-        Network { integration, first: 32, hidden: vec![64, 64], viscosity: false, dt, gravity }
+        Network {
+            integration: IntegrationName::Paper,
+            first: 32,
+            hidden: vec![64, 64],
+            interpolation: InterpolationName::Linear,
+            window: WindowName::Poly6,
+            fully_connected: true,
+            viscosity: false,
+            dt,
+            gravity,
+        }
     }
 }
 
@@ -68,6 +83,21 @@ impl Default for Network {
 pub enum IntegrationName {
     Paper,
     Velocity,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum InterpolationName {
+    Linear,
+    Nearest,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum WindowName {
+    Poly6,
+    Triangular,
+    None,
 }
 
 /// Eq. 16.
@@ -102,6 +132,10 @@ pub struct Training {
     pub seed: u64,
     /// Whether windows are turned about the axis of gravity at random.
     pub rotate: bool,
+    /// The standard deviation of normal noise on every coordinate of the positions that windows start from, metres.
+    pub position_noise: f32,
+    /// The same of velocities, metres per second.
+    pub velocity_noise: f32,
     pub precision: PrecisionName,
     /// How much of the averaged weights stays in an update; 0 averages nothing.
     pub average: f32,
@@ -121,6 +155,8 @@ impl Default for Training {
             steps: 2,
             seed: 0,
             rotate: true,
+            position_noise: 0.0,
+            velocity_noise: 0.0,
             precision: PrecisionName::F32,
             average: 0.0,
             positions: false,
@@ -134,7 +170,7 @@ impl Default for Training {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, tag = "kind", rename_all = "lowercase")]
 pub enum Rate {
-    /// That of the paper: 1e-3, halved at 20,000, 25,000, ... 45,000.
+    /// That of the paper: 1e-3, halved at 20,000, 25,000, ... 45,000 of 50,000 updates, of others in proportion.
     Paper,
     /// That of the published scripts, which halve first at 25,000.
     #[default]
@@ -180,14 +216,48 @@ impl Default for Validation {
 /// are not exact.
 const WALL_SLACK: f32 = 0.2;
 
+/// The files of assets/configs, by name.
+const SHIPPED: [(&str, &str); 10] = [
+    ("paper", include_str!("../../../../assets/configs/paper.toml")),
+    ("published", include_str!("../../../../assets/configs/published.toml")),
+    ("box-6k", include_str!("../../../../assets/configs/box-6k.toml")),
+    ("viscosity", include_str!("../../../../assets/configs/viscosity.toml")),
+    ("dam-break", include_str!("../../../../assets/configs/dam-break.toml")),
+    ("without-interpolation", include_str!("../../../../assets/configs/without-interpolation.toml")),
+    ("without-window", include_str!("../../../../assets/configs/without-window.toml")),
+    ("triangular-window", include_str!("../../../../assets/configs/triangular-window.toml")),
+    ("naive-loss", include_str!("../../../../assets/configs/naive-loss.toml")),
+    ("without-fc", include_str!("../../../../assets/configs/without-fc.toml")),
+];
+
+impl Data {
+    /// The folders of a data set.
+    pub fn of(folder: &Path) -> Data {
+        Data { train: Some(folder.join("train")), valid: Some(folder.join("valid")) }
+    }
+}
+
 impl Config {
-    /// Reads a configuration file.
+    /// Reads the configuration file of that path, or the shipped one of that name.
     ///
     /// # Errors
     /// If it cannot be read or parsed, has an unknown key, or a value is out of range.
-    pub fn load(path: &Path) -> Result<Config> {
-        let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
-        Config::parse(&text).with_context(|| path.display().to_string())
+    pub fn load(name: &str) -> Result<Config> {
+        let path = Path::new(name);
+        let shipped = SHIPPED.iter().find(|(shipped, _)| *shipped == name);
+        let text = match (shipped, std::fs::read_to_string(path)) {
+            (_, Ok(text)) => text,
+            (Some((_, text)), Err(_)) => (*text).to_owned(),
+            (None, Err(error)) => {
+                let error = anyhow::Error::new(error).context(name.to_owned());
+                if path.extension().is_some() || path.exists() {
+                    return Err(error);
+                }
+                let names: Vec<_> = SHIPPED.iter().map(|(name, _)| *name).collect();
+                return Err(error.context(format!("no shipped settings (there are {})", names.join(", "))));
+            }
+        };
+        Config::parse(&text).with_context(|| name.to_owned())
     }
 
     fn parse(text: &str) -> Result<Config> {
@@ -239,8 +309,13 @@ impl Config {
         if let Some((key, value)) = parts.iter().find(|(_, value)| !(0.0..1.0).contains(value)) {
             bail!("`{key}`: {value}, expected a number from 0 to below 1");
         }
-        if !(loss.neighbors.is_finite() && loss.neighbors >= 0.0) {
-            bail!("`loss.neighbors`: {}, expected a number of at least 0", loss.neighbors);
+        let at_least_zero = [
+            ("loss.neighbors", loss.neighbors),
+            ("training.position_noise", training.position_noise),
+            ("training.velocity_noise", training.velocity_noise),
+        ];
+        if let Some((key, value)) = at_least_zero.iter().find(|(_, x)| !(x.is_finite() && *x >= 0.0)) {
+            bail!("`{key}`: {value}, expected a number of at least 0");
         }
         if loss.velocity && network.integration == IntegrationName::Paper {
             bail!(
@@ -252,8 +327,18 @@ impl Config {
 
     /// The weights that the training begins with.
     pub fn first_weights(&self) -> Weights {
-        let Network { integration, first, hidden, viscosity, dt, gravity } = &self.network;
+        let Network { integration, first, hidden, viscosity, dt, gravity, .. } = &self.network;
         let config = NetworkConfig {
+            interpolation: match self.network.interpolation {
+                InterpolationName::Linear => Interpolation::Linear,
+                InterpolationName::Nearest => Interpolation::Nearest,
+            },
+            window: match self.network.window {
+                WindowName::Poly6 => Window::Poly6,
+                WindowName::Triangular => Window::Triangular,
+                WindowName::None => Window::None,
+            },
+            fully_connected: self.network.fully_connected,
             extra_inputs: if *viscosity { vec!["viscosity".into()] } else { Vec::new() },
             dt: *dt,
             gravity: *gravity,
@@ -275,8 +360,8 @@ impl Config {
                 velocity: loss.velocity,
             },
             schedule: match &self.rate {
-                Rate::Paper => Schedule::paper(),
-                Rate::Published => Schedule::published(),
+                Rate::Paper => Schedule::paper(training.updates),
+                Rate::Published => Schedule::published(training.updates),
                 Rate::Steps { highest, factor, at } => {
                     Schedule::Steps { rate: *highest, factor: *factor, at: at.clone() }
                 }
@@ -293,13 +378,15 @@ impl Config {
     }
 
     pub fn sampling(&self, damaged: Damaged) -> Sampling {
-        let Training { seed, batch, steps, group, rotate, .. } = self.training;
+        let Training { seed, batch, steps, group, rotate, position_noise, velocity_noise, .. } =
+            self.training;
         Sampling {
             seed,
             batch,
             steps,
             group,
             axis: rotate.then_some(self.network.gravity),
+            noise: Noise { position: position_noise, velocity: velocity_noise },
             viscosity: self.network.viscosity,
             reach: NetworkConfig::default().filter_radius + WALL_SLACK,
             damaged,
@@ -316,10 +403,29 @@ mod tests {
         let config = Config::parse("").unwrap();
         assert_eq!(config, Config::default());
         assert_eq!((config.training.updates, config.training.batch), (50_000, 16));
-        assert_eq!(config.options().schedule, Schedule::published());
+        assert_eq!(config.options().schedule, Schedule::published(50_000));
         // As it is recorded.
         let value = serde_json::to_value(&config).unwrap();
         assert_eq!(serde_json::from_value::<Config>(value).unwrap(), config);
+    }
+
+    #[test]
+    fn the_shipped_files_are_settings() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/configs");
+        let mut files: Vec<String> = std::fs::read_dir(&folder)
+            .unwrap()
+            .map(|entry| entry.unwrap().path().file_stem().unwrap().to_string_lossy().into_owned())
+            .collect();
+        for name in &files {
+            let config = Config::load(name).unwrap();
+            config.first_weights().check().unwrap();
+            let path = folder.join(format!("{name}.toml"));
+            assert_eq!(Config::load(path.to_str().unwrap()).unwrap(), config);
+        }
+        files.sort();
+        let mut shipped = SHIPPED.map(|(name, _)| name);
+        shipped.sort_unstable();
+        assert_eq!(files, shipped);
     }
 
     #[test]
@@ -332,6 +438,8 @@ mod tests {
             ("[optimizer]\nbeta2 = 1.0", vec!["`optimizer.beta2`", "below 1"]),
             ("[rate]\nkind = \"linear\"", vec!["linear", "cosine"]),
             ("[loss]\nvelocity = true", vec!["`loss.velocity`", "paper"]),
+            ("[training]\nposition_noise = -1.0", vec!["`training.position_noise`", "at least 0"]),
+            ("[network]\nwindow = \"cubic\"", vec!["line 2", "cubic", "triangular"]),
             ("[network]\nhidden = [64, 0]", vec!["`network.hidden`"]),
             ("[network", vec!["line 1"]),
         ] {

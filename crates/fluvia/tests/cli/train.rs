@@ -144,3 +144,27 @@ fn what_is_refused() {
         &["run/checkpoint.safetensors"],
     );
 }
+
+#[test]
+fn variants_side_by_side() {
+    let folder = folder();
+    folder.write("base.toml", CONFIG);
+    let variant = "[network]\nwindow = \"none\"\ninterpolation = \"nearest\"\nfully_connected = false";
+    folder.write("bare.toml", CONFIG.replace("[network]", variant));
+    let command = "ablate base.toml bare.toml --data data --updates 3 --seeds 2 --out table";
+    let printed = folder.succeed(command).stdout;
+    assert!(printed.contains("Means of 2 seeds"), "{printed}");
+    assert_eq!(std::fs::read_to_string(folder.path("table/ablation.md")).unwrap(), printed);
+    let found = folder.json("table/ablation.json");
+    assert_eq!((&found[0]["name"], &found[1]["name"]), (&"base".into(), &"bare".into()));
+    let error = |variant: usize, seed: usize| found[variant]["figures"][seed]["err_n1_mm"].as_f64().unwrap();
+    assert!(error(0, 0) != error(0, 1) && error(0, 0) != error(1, 0));
+    let inspected = folder.succeed("inspect table/bare/seed_1/weights.safetensors").stdout;
+    assert!(!inspected.contains("dense1"), "{inspected}");
+    // What is there is not made again.
+    let before = numbers(&folder, "table/bare/seed_1/weights.safetensors");
+    assert_eq!(folder.succeed(command).stdout, printed);
+    assert!(numbers(&folder, "table/bare/seed_1/weights.safetensors") == before);
+    folder.fail("ablate base.toml base.toml --data data --out twice", &["base", "two variants"]);
+    folder.fail("ablate unknown --data data --out unknown", &["unknown", "without-window"]);
+}

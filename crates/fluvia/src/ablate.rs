@@ -1,0 +1,186 @@
+//! `fluvia ablate`: trains variants of a network, each with several seeds, and sets their figures side by side.
+//!
+//! ```text
+//! OUT/NAME/seed_S/   a training, as `fluvia train` writes it, and figures.json
+//! OUT/ablation.json  all figures
+//! OUT/ablation.md    the table, beside the paper's
+//! ```
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use anyhow::{Context, Result, bail};
+use fluvia_sim::frames;
+use serde::Serialize;
+use serde_json::{Value, json};
+
+use crate::evaluate;
+use crate::interrupt;
+use crate::options::{PrecisionName, thread_pool, threads};
+use crate::plots::short;
+use crate::report::Report;
+use crate::train::config::{Config, Data};
+use crate::train::{self, Plan, Trained};
+
+const FIGURES: &str = "figures.json";
+const JSON: &str = "ablation.json";
+const TABLE: &str = "ablation.md";
+
+/// Updates from one checkpoint to the next.
+const CHECKPOINT: u64 = 100;
+
+/// The paper's figures, millimetres: Table 2; of the triangular window Table 5.
+const PAPER: [(&str, [f64; 5]); 6] = [
+    ("paper", [0.67, 1.87, 0.25, 0.74, 30.63]),
+    ("without-interpolation", [0.79, 2.24, 0.30, 0.89, 32.39]),
+    ("without-window", [0.77, 2.21, 0.30, 0.89, 31.77]),
+    ("triangular-window", [0.69, 1.94, 0.27, 0.79, 30.28]),
+    ("naive-loss", [0.69, 1.86, 0.27, 0.77, 30.35]),
+    ("without-fc", [0.75, 2.17, 0.27, 0.80, 32.49]),
+];
+
+/// The keys of these figures.
+const KEYS: [(&str, &str); 5] = [
+    ("err_n1_mm", "n+1"),
+    ("err_n2_mm", "n+2"),
+    ("err_n1_last_fifth_mm", "n+1, end"),
+    ("err_n2_last_fifth_mm", "n+2, end"),
+    ("whole_seq_mm", "d, whole sequence"),
+];
+
+/// Options of `fluvia ablate`.
+#[derive(clap::Args)]
+#[command(after_help = "\
+Examples:
+  fluvia ablate --data data/default --updates 2000 --out out/ablation
+  fluvia ablate paper mine.toml --data data/default --updates 5000 --seeds 3 --out out/mine
+
+Without CONFIG the variants are those of the paper's Tables 2 and 5. The same command goes on where it was stopped.")]
+pub struct Args {
+    /// Settings of the variants: files (TOML), or names of those in assets/configs.
+    #[arg(value_name = "CONFIG")]
+    configs: Vec<String>,
+    /// The data set, with the folders `train` and `valid`.
+    #[arg(long, value_name = "DIR")]
+    data: PathBuf,
+    /// The directory to write to.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Updates of each training; those of its settings if not given. Schedules shrink with it.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    updates: Option<u64>,
+    /// Seeds of each variant: 0, 1, ...
+    #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u64).range(1..))]
+    seeds: u64,
+    /// The format of the large matrix products in trainings; that of the settings if not given.
+    #[arg(long, value_enum)]
+    precision: Option<PrecisionName>,
+    /// Threads; all cores if not given.
+    #[arg(long, value_name = "T", value_parser = threads)]
+    threads: Option<usize>,
+    /// Print a JSON object, not a table.
+    #[arg(long)]
+    json: bool,
+}
+
+/// A variant and what came of it.
+#[derive(Serialize)]
+struct Variant {
+    name: String,
+    /// For each seed.
+    figures: Vec<Value>,
+}
+
+pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
+    let mut names: Vec<String> = args.configs.clone();
+    if names.is_empty() {
+        names = PAPER.iter().map(|(name, _)| (*name).to_owned()).collect();
+    }
+    let configs = names.iter().map(|name| Config::load(name)).collect::<Result<Vec<_>>>()?;
+    let stem = |name: &String| Path::new(name).file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    let names: Vec<String> = names.iter().map(stem).collect();
+    if let Some((k, name)) = names.iter().enumerate().find(|(k, name)| names[..*k].contains(name)) {
+        bail!("CONFIG {}: two variants are called {name}", k + 1);
+    }
+    std::fs::create_dir_all(&args.out).with_context(|| args.out.display().to_string())?;
+    let interrupted = interrupt::watch()?;
+    let variants = thread_pool(args.threads)?.install(|| -> Result<Option<Vec<Variant>>> {
+        let mut variants: Vec<Variant> =
+            names.iter().map(|name| Variant { name: name.clone(), figures: Vec::new() }).collect();
+        // All variants with a seed, then all with the next: what was stopped is a table of fewer seeds.
+        for seed in 0..args.seeds {
+            for (config, variant) in configs.iter().zip(&mut variants) {
+                let out = args.out.join(&variant.name).join(format!("seed_{seed}"));
+                report.note(format_args!("{}, seed {seed}", variant.name));
+                let plan = plan(args, config.clone(), seed, out);
+                let Some(trained) = train::train(&plan, &interrupted, report)? else { return Ok(None) };
+                variant.figures.push(figures(args, &plan, &trained, report)?);
+            }
+        }
+        Ok(Some(variants))
+    })?;
+    let Some(variants) = variants else { return Ok(interrupt::exit_code()) };
+    let table = markdown(&variants);
+    frames::write_json(&args.out.join(JSON), &variants)?;
+    let text = table.clone() + "\n";
+    frames::write_atomically(&args.out.join(TABLE), |file| file.write_all(text.as_bytes()))?;
+    report.result(if args.json { json!(variants).to_string() } else { table })?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// A training that goes on if it has begun.
+fn plan(args: &Args, mut config: Config, seed: u64, out: PathBuf) -> Plan {
+    config.data = Data::of(&args.data);
+    config.training.seed = seed;
+    config.training.updates = args.updates.unwrap_or(config.training.updates);
+    config.training.precision = args.precision.unwrap_or(config.training.precision);
+    Plan {
+        config,
+        out,
+        weights: None,
+        checkpoint: CHECKPOINT,
+        skip_damaged: false,
+        resume: true,
+        overwrite: false,
+    }
+}
+
+/// The figures of a training, evaluated once.
+fn figures(args: &Args, plan: &Plan, trained: &Trained, report: &Report) -> Result<Value> {
+    let path = plan.out.join(FIGURES);
+    if path.exists() {
+        return Ok(frames::read_json(&path)?);
+    }
+    let figures = evaluate::of_weights(&trained.weights, PrecisionName::F32, &args.data, report)?;
+    let value = serde_json::to_value(figures)?;
+    frames::write_json(&path, &value)?;
+    Ok(value)
+}
+
+/// Means over seeds with half of their range, and in brackets what the paper has.
+fn markdown(variants: &[Variant]) -> String {
+    let seeds = variants.first().map_or(0, |variant| variant.figures.len());
+    let mut lines =
+        vec![format!("Means of {seeds} seeds ± half of their range, mm; in brackets the paper's.")];
+    lines.push(String::new());
+    lines.push(format!("| variant |{}", KEYS.map(|(_, title)| format!(" {title} |")).concat()));
+    lines.push("| --- |".to_owned() + &" --- |".repeat(KEYS.len()));
+    for Variant { name, figures } in variants {
+        let paper = PAPER.iter().find(|(known, _)| known == name).map(|(_, values)| values);
+        let cell = |(k, (key, _)): (usize, &(&str, &str))| {
+            let values: Option<Vec<f64>> = figures.iter().map(|one| one[*key].as_f64()).collect();
+            let found = values.filter(|values| !values.is_empty()).map_or("not finite".into(), |values| {
+                let mean = values.iter().sum::<f64>() / values.len() as f64;
+                let (low, high) =
+                    values.iter().fold((f64::MAX, f64::MIN), |(low, high), v| (low.min(*v), high.max(*v)));
+                format!("{} ± {}", short(mean), short((high - low) / 2.0))
+            });
+            match paper {
+                Some(values) => format!(" {found} ({}) |", values[k]),
+                None => format!(" {found} |"),
+            }
+        };
+        lines.push(format!("| {name} |{}", KEYS.iter().enumerate().map(cell).collect::<String>()));
+    }
+    lines.join("\n")
+}
