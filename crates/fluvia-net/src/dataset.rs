@@ -47,15 +47,19 @@ pub struct PartFile {
 }
 
 impl DataSet {
-    /// The sequences in a folder, by name. Of each part the first frame is read.
+    /// The sequences in some folders, in each by name. Of each part the first frame is read.
     ///
     /// # Errors
-    /// `Io`; `File` if there is no sequence, or one is damaged at its beginning.
-    pub fn open(folder: &Path) -> Result<DataSet> {
-        let found = sequence::find(folder)?;
-        if found.is_empty() {
-            let message = format!("no sequence, expected files named NAME_00{}", sequence::EXTENSION);
-            return Err(Error::file(folder, message));
+    /// `Io`; `File` if a folder has no sequence, or one is damaged at its beginning.
+    pub fn open(folders: &[impl AsRef<Path>]) -> Result<DataSet> {
+        let mut found = Vec::new();
+        for folder in folders {
+            let of_folder = sequence::find(folder.as_ref())?;
+            if of_folder.is_empty() {
+                let message = format!("no sequence, expected files named NAME_00{}", sequence::EXTENSION);
+                return Err(Error::file(folder, message));
+            }
+            found.extend(of_folder);
         }
         let mut parts = Vec::new();
         for files in found {
@@ -71,7 +75,7 @@ impl DataSet {
         Ok(DataSet { parts })
     }
 
-    /// The parts, in the order of the names of sequences.
+    /// The parts, in the order of the folders and of the names of sequences.
     pub fn parts(&self) -> &[PartFile] {
         &self.parts
     }

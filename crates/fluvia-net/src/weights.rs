@@ -156,6 +156,25 @@ impl Weights {
         values
     }
 
+    /// The same network with one more input of fluid particles, after all others and with weights of zero: it computes the
+    /// same until these are trained.
+    pub fn with_extra_input(mut self, name: &str) -> Weights {
+        let (cells, inputs) = (self.config.filter_size.iter().product::<usize>(), self.fluid.inputs);
+        let wider = |values: &[f32], rows: usize, outputs: usize| -> Vec<f32> {
+            let zeros = vec![0.0; outputs];
+            let rows = values.chunks_exact(inputs * outputs).take(rows);
+            rows.flat_map(|row| row.iter().chain(&zeros)).copied().collect()
+        };
+        self.fluid.kernel = wider(&self.fluid.kernel, cells, self.fluid.outputs);
+        self.fluid.inputs += 1;
+        if let Some(dense) = &mut self.fluid_dense {
+            dense.weight = wider(&dense.weight, 1, dense.outputs);
+            dense.inputs += 1;
+        }
+        self.config.extra_inputs.push(name.to_owned());
+        self
+    }
+
     /// The number of numbers in all tensors.
     pub fn parameters(&self) -> usize {
         self.tensors().iter().map(|tensor| tensor.values.len()).sum()

@@ -42,7 +42,7 @@ fn write_set(folder: &Path) -> DataSet {
             write_part(&folder.join(part_file_name(&name, number)), &part).unwrap();
         }
     }
-    DataSet::open(folder).unwrap()
+    DataSet::open(&[folder]).unwrap()
 }
 
 fn take(data: &DataSet, sampling: Sampling, position: u64, count: usize) -> Vec<(Batch, u64)> {
@@ -139,7 +139,7 @@ fn damaged_and_missing_files() {
     let mut loader = Loader::start(&data, Sampling { damaged: Damaged::Skip, ..sampling() }, 0).unwrap();
     let error = loader.take().unwrap_err().to_string();
     assert!(error.contains("no part"), "{error}");
-    let error = DataSet::open(folder.path()).unwrap_err().to_string();
+    let error = DataSet::open(&[folder.path()]).unwrap_err().to_string();
     assert!(error.contains("no sequence"), "{error}");
 }
 

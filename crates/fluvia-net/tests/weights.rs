@@ -87,6 +87,24 @@ fn the_networks_of_the_ablations_survive_safetensors() {
 }
 
 #[test]
+fn a_new_input_has_no_influence() {
+    for fully_connected in [true, false] {
+        let config = Config { fully_connected, filter_size: [1, 2, 2], ..Config::default() };
+        let weights = Weights::random(config, 3, &[4], 1);
+        let wider = weights.clone().with_extra_input("viscosity");
+        wider.check().unwrap();
+        assert_eq!(wider.config.extra_inputs, ["viscosity"]);
+        // Four rows of each cell stay, the fifth is zero.
+        for (cell, rows) in wider.fluid.kernel.chunks_exact(15).zip(weights.fluid.kernel.chunks_exact(12)) {
+            assert_eq!((&cell[..12], &cell[12..]), (rows, &[0.0; 3][..]));
+        }
+        if let (Some(wider), Some(dense)) = (&wider.fluid_dense, &weights.fluid_dense) {
+            assert_eq!((&wider.weight[..12], &wider.weight[12..]), (dense.weight.as_slice(), &[0.0; 3][..]));
+        }
+    }
+}
+
+#[test]
 fn weights_that_do_not_fit_are_not_written() {
     type Change = fn(&mut Weights);
     let changes: [(Change, &str); 8] = [

@@ -130,7 +130,7 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
 
 /// A training that goes on if it has begun.
 fn plan(args: &Args, mut config: Config, seed: u64, out: PathBuf) -> Plan {
-    config.data = Data::of(&args.data);
+    config.data = Data::of(std::slice::from_ref(&args.data));
     config.training.seed = seed;
     config.training.updates = args.updates.unwrap_or(config.training.updates);
     config.training.precision = args.precision.unwrap_or(config.training.precision);

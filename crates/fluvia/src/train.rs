@@ -53,9 +53,9 @@ pub struct Args {
     /// The settings: a file (TOML), or the name of one in assets/configs.
     #[arg(value_name = "CONFIG")]
     config: String,
-    /// The data set, with the folders `train` and `valid`; takes the place of `data` in the settings.
+    /// A data set, with the folders `train` and `valid`; takes the place of `data` in the settings. May be given several times.
     #[arg(long, value_name = "DIR")]
-    data: Option<PathBuf>,
+    data: Vec<PathBuf>,
     /// The directory to write to.
     #[arg(long, value_name = "RUN")]
     out: PathBuf,
@@ -65,7 +65,8 @@ pub struct Args {
     /// The seed; that of the settings if not given.
     #[arg(long, value_name = "S")]
     seed: Option<u64>,
-    /// Begin with these weights, not with random ones.
+    /// Begin with these weights, not with random ones. Where the settings have the viscosity as an input and these weights do
+    /// not, it begins without influence.
     #[arg(long, value_name = "FILE")]
     weights: Option<PathBuf>,
     /// Updates from one checkpoint to the next.
@@ -112,8 +113,8 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
     let mut config = Config::load(&args.config)?;
     config.training.updates = args.updates.unwrap_or(config.training.updates);
     config.training.seed = args.seed.unwrap_or(config.training.seed);
-    if let Some(folder) = &args.data {
-        config.data = Data::of(folder);
+    if !args.data.is_empty() {
+        config.data = Data::of(&args.data);
     }
     let plan = Plan {
         config,
@@ -151,8 +152,11 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
 
 /// Weights to begin with, which must be of the network of the settings.
 fn given_weights(path: &Path, config: &Config) -> Result<Weights> {
-    let given = fluvia_net::weights::load(path)?;
+    let mut given = fluvia_net::weights::load(path)?;
     let expected = config.first_weights();
+    if let ([], [name]) = (given.config.extra_inputs.as_slice(), expected.config.extra_inputs.as_slice()) {
+        given = given.with_extra_input(name);
+    }
     let shapes = |weights: &Weights| -> Vec<Vec<usize>> {
         weights.tensors().into_iter().map(|tensor| tensor.shape).collect()
     };
@@ -191,23 +195,18 @@ struct Run<'a> {
 impl<'a> Run<'a> {
     fn new(plan: &'a Plan, weights: Weights, report: &'a Report) -> Result<Run<'a>> {
         let config = &plan.config;
-        let folder = |folder: &Option<PathBuf>, name: &str| {
-            folder
-                .clone()
-                .with_context(|| format!("no data: expected --data, or `data.{name}` in the settings"))
-        };
         let damaged = if plan.skip_damaged { Damaged::Skip } else { Damaged::Stop };
         let sampling = config.sampling(damaged);
-        let data = DataSet::open(&folder(&config.data.train, "train")?)?;
-        let validation = match &config.data.valid {
-            Some(valid) if valid.exists() => {
-                let data = DataSet::open(valid)?;
-                Some(Validation::read(&data, &sampling, config.validation.windows)?)
-            }
-            _ => {
-                report.warning("no validation data: the last weights count as the best");
-                None
-            }
+        if config.data.train.is_empty() {
+            bail!("no data: expected --data, or `data.train` in the settings");
+        }
+        let data = DataSet::open(&config.data.train)?;
+        let validation = if config.data.valid.is_empty() {
+            report.warning("no validation data: the last weights count as the best");
+            None
+        } else {
+            let data = DataSet::open(&config.data.valid)?;
+            Some(Validation::read(&data, &sampling, config.validation.windows)?)
         };
         let settings = settings(plan, &data);
         let path = plan.out.join(CHECKPOINT);

@@ -11,6 +11,7 @@ use fluvia_net::loss::Loss;
 use fluvia_net::train::{Options, Schedule};
 use fluvia_net::unroll::Storage;
 use fluvia_net::weights::Weights;
+use fluvia_sim::frames::sequence;
 use serde::{Deserialize, Serialize};
 
 use crate::options::PrecisionName;
@@ -32,10 +33,10 @@ pub struct Config {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Data {
-    /// The folder of the training sequences.
-    pub train: Option<PathBuf>,
-    /// The folder of the validation sequences.
-    pub valid: Option<PathBuf>,
+    /// The folders of the training sequences.
+    pub train: Vec<PathBuf>,
+    /// The folders of the validation sequences.
+    pub valid: Vec<PathBuf>,
 }
 
 /// The network that is trained, and what its data are of.
@@ -231,9 +232,12 @@ const SHIPPED: [(&str, &str); 10] = [
 ];
 
 impl Data {
-    /// The folders of a data set.
-    pub fn of(folder: &Path) -> Data {
-        Data { train: Some(folder.join("train")), valid: Some(folder.join("valid")) }
+    /// The folders of some data sets; one without validation scenes has none.
+    pub fn of(sets: &[PathBuf]) -> Data {
+        let in_each = |name: &str| sets.iter().map(|set| set.join(name)).collect::<Vec<_>>();
+        let has_scenes = |folder: &PathBuf| sequence::find(folder).is_ok_and(|found| !found.is_empty());
+        let valid = in_each("valid").into_iter().filter(has_scenes).collect();
+        Data { train: in_each("train"), valid }
     }
 }
 

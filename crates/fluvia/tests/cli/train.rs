@@ -146,6 +146,25 @@ fn what_is_refused() {
 }
 
 #[test]
+fn weights_to_begin_with() {
+    let folder = folder();
+    folder.succeed("train config.toml --data data --out plain --updates 3");
+    folder.write("viscosity.toml", CONFIG.replace("[network]", "[network]\nviscosity = true"));
+    folder.succeed("train viscosity.toml --data data --data data --out wider --updates 1 --weights plain/weights.safetensors");
+    assert_eq!(
+        folder.json("wider/config.json")["data"]["train"],
+        serde_json::json!(["data/train", "data/train"])
+    );
+    let inspected = folder.succeed("inspect wider/weights.safetensors").stdout;
+    assert!(inspected.contains("viscosity"), "{inspected}");
+    // Not the other way round.
+    folder.fail(
+        "train config.toml --data data --out narrower --weights wider/weights.safetensors",
+        &["wider/weights.safetensors", "another network"],
+    );
+}
+
+#[test]
 fn variants_side_by_side() {
     let folder = folder();
     folder.write("base.toml", CONFIG);
@@ -167,4 +186,87 @@ fn variants_side_by_side() {
     assert!(numbers(&folder, "table/bare/seed_1/weights.safetensors") == before);
     folder.fail("ablate base.toml base.toml --data data --out twice", &["base", "two variants"]);
     folder.fail("ablate unknown --data data --out unknown", &["unknown", "without-window"]);
+}
+
+/// On a disk that fills up between two checkpoints the first stays, and a training goes on from it.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_full_disk_leaves_the_old_checkpoint() {
+    use crate::common::SmallDisk;
+    let folder = folder();
+    folder.succeed("train config.toml --data data --out whole");
+    let disk = folder.path("disk");
+    let Some(_small) = SmallDisk::mount(&disk, "2m") else { return };
+    let command = "train config.toml --data data --out disk/run --checkpoint 4";
+    let mut child = folder.command(command).stderr(Stdio::null()).stdout(Stdio::null()).spawn().unwrap();
+    let checkpoint = disk.join("run/checkpoint.safetensors");
+    while !checkpoint.exists() && child.try_wait().unwrap().is_none() {
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    let old = std::fs::read(&checkpoint).unwrap();
+    // Room for some lines of numbers, none for a checkpoint.
+    let free = |bytes: usize| {
+        let mut filler = vec![0u8; 2 << 20];
+        while std::fs::write(disk.join("filler"), &filler).is_err() {
+            filler.truncate(filler.len() - 4096);
+        }
+        filler.truncate(filler.len() - bytes);
+        std::fs::write(disk.join("filler"), &filler).unwrap();
+    };
+    free(3 * 4096);
+    let run = folder.run(&format!("{command} --resume"));
+    assert_eq!(run.code, Some(1), "{}", run.stderr);
+    let error: Vec<&str> = run.stderr.lines().filter(|line| line.starts_with("error: ")).collect();
+    assert!(
+        error.len() == 1 && error[0].contains("disk/run/") && error[0].contains("space"),
+        "{}",
+        run.stderr
+    );
+    assert!(std::fs::read(&checkpoint).unwrap() == old);
+    std::fs::remove_file(disk.join("filler")).unwrap();
+    folder.succeed(&format!("{command} --resume"));
+    assert!(
+        numbers(&folder, "disk/run/weights.safetensors") == numbers(&folder, "whole/weights.safetensors")
+    );
+    assert_eq!(lines(&folder, "disk/run"), lines(&folder, "whole"));
+}
+
+/// What a training holds in memory does not grow with its updates.
+#[cfg(target_os = "linux")]
+#[test]
+fn memory_stays_flat() {
+    const MOST_GROWTH: f64 = 1.0;
+    let folder = Folder::new();
+    folder.write(
+        "config.toml",
+        CONFIG.replace("updates = 24", "updates = 2400").replace("every = 6", "every = 50"),
+    );
+    let data = crate::common::sequence("set");
+    let mut command =
+        folder.command(&format!("train config.toml --data {data} --out run --quiet --threads 2"));
+    let mut child = command.stdout(Stdio::null()).spawn().unwrap();
+    let status = format!("/proc/{}/status", child.id());
+    let metrics = folder.path("run/metrics.jsonl");
+    // Resident memory in MiB, by the number of updates.
+    let mut samples: Vec<(u64, f64)> = Vec::new();
+    while child.try_wait().unwrap().is_none() {
+        let status = std::fs::read_to_string(&status).unwrap_or_default();
+        let resident = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));
+        let resident = resident.and_then(|text| text.split_whitespace().next()?.parse::<f64>().ok());
+        let update = std::fs::read_to_string(&metrics).unwrap_or_default().lines().count() as u64;
+        samples.extend(resident.map(|kibibytes| (update, kibibytes / 1024.0)));
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    assert!(child.wait().unwrap().success());
+    let highest = |updates: std::ops::Range<u64>| {
+        let of_range = samples.iter().filter(|(update, _)| updates.contains(update));
+        of_range.map(|(_, resident)| *resident).fold(0.0, f64::max)
+    };
+    let (early, late) = (highest(200..500), highest(2000..3000));
+    println!("{early:.2} MiB after 200 to 500 updates, {late:.2} MiB after 2000; {} samples", samples.len());
+    assert!(early > 0.0 && late > 0.0, "{} samples", samples.len());
+    // Lists of events and lines would be as long; a batch or a gradient that stays is a hundred times that.
+    assert!(late - early < MOST_GROWTH, "{early} MiB, then {late} MiB");
 }
