@@ -9,11 +9,11 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use fluvia_sim::frames::write_atomically;
-use safetensors::tensor::{Dtype, SafeTensors, TensorView, serialize};
+use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
 
 use crate::adam::{self, Adam};
-use crate::weights::Weights;
+use crate::weights::{FileTensor, Weights, content};
 use crate::{Error, Result};
 
 /// The key in the metadata.
@@ -73,26 +73,18 @@ impl Checkpoint {
             ("average", self.averages.as_ref()),
         ];
         let tensors = network.tensors();
-        let mut bytes = Vec::new();
+        let mut files = Vec::new();
         for (group, values) in groups.into_iter().filter_map(|(name, values)| Some((name, values?))) {
             if values.len() != tensors.len() {
                 return Err(Error::Parameter(format!("checkpoint: {group} of another network")));
             }
-            for (tensor, values) in tensors.iter().zip(values) {
-                let raw: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
-                bytes.push((format!("{group}/{}", tensor.name), tensor.shape.clone(), raw));
-            }
-        }
-        let fault = |error: &dyn std::fmt::Display| Error::Parameter(format!("checkpoint: {error}"));
-        let mut views = Vec::with_capacity(bytes.len());
-        for (name, shape, raw) in &bytes {
-            let view = TensorView::new(Dtype::F32, shape.clone(), raw).map_err(|error| fault(&error))?;
-            views.push((name, view));
+            files.extend(tensors.iter().zip(values).map(|(tensor, values)| {
+                FileTensor::new(format!("{group}/{}", tensor.name), tensor.shape.clone(), values)
+            }));
         }
         let record = Record { format: FORMAT, place: self.place.clone() };
-        let record = serde_json::to_string(&record).map_err(|error| fault(&error))?;
-        let metadata = [(KEY.to_owned(), record)].into_iter().collect();
-        let content = serialize(views, Some(metadata)).map_err(|error| fault(&error))?;
+        let content = content(&files, KEY, &record)
+            .map_err(|fault| Error::Parameter(format!("checkpoint: {fault}")))?;
         Ok(write_atomically(path, |out| out.write_all(&content))?)
     }
 

@@ -15,15 +15,20 @@ use std::path::{Path, PathBuf};
 
 use fluvia_neighbors::Point;
 use fluvia_sim::frames::sequence::{self, Part, Sequence};
+use fluvia_sim::particles::Acceleration;
 
 use crate::integrate::State;
+use crate::net::{Network, Walls};
+use crate::step::World;
 use crate::{Error, Result};
 
+mod free;
 mod loader;
 mod noise;
 mod order;
 mod rotation;
 
+pub use free::FreeFall;
 pub use loader::{Damaged, Loaded, Loader, Sampling};
 pub use noise::Noise;
 pub use order::Order;
@@ -114,6 +119,17 @@ impl Batch {
             wall_clouds: vec![0],
             ..Batch::default()
         }
+    }
+
+    /// The particles' extra inputs and clouds, in a world with this gravity.
+    pub fn world(&self, gravity: Point) -> World<'_> {
+        let acceleration = Acceleration::Uniform(gravity);
+        World { extra: &self.extra, acceleration, clouds: &self.clouds }
+    }
+
+    /// The wall particles, for a network.
+    pub fn walls(&self, network: &Network) -> Walls {
+        network.walls(&self.wall_position, &self.wall_normal, &self.wall_clouds)
     }
 
     /// Adds the window that begins with frame `first` of a part, counted from 0, turned by `rotation`. Each particle gets

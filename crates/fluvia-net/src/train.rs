@@ -5,7 +5,6 @@
 //! ```
 
 use cconv::{Kernel, PositionGradient, Precision};
-use fluvia_sim::particles::Acceleration;
 
 use crate::adam::{Adam, average};
 use crate::checkpoint::{Checkpoint, Place};
@@ -13,7 +12,7 @@ use crate::dataset::Batch;
 use crate::integrate::State;
 use crate::loss::Loss;
 use crate::net::Network;
-use crate::step::{StepGradients, World};
+use crate::step::StepGradients;
 use crate::unroll::{Storage, Unroll};
 use crate::weights::Weights;
 use crate::{Error, Result, adam};
@@ -138,22 +137,19 @@ impl Trainer {
     /// The loss of a batch and its gradient by all weights.
     ///
     /// # Errors
-    /// `Parameter` if the loss or a derivative is not finite.
+    /// `Parameter` if a position, the loss or a derivative is not finite.
     ///
     /// # Panics
     /// If the batch is not made for this network.
     pub fn differentiate(&mut self, batch: &Batch) -> Result<f64> {
         let network = Network::new(&self.weights, self.kernel)?.with_precision(self.options.precision);
         let config = network.config();
-        let mut walls = network.walls(&batch.wall_position, &batch.wall_normal, &batch.wall_clouds);
-        let world = World {
-            extra: &batch.extra,
-            acceleration: Acceleration::Uniform(config.gravity),
-            clouds: &batch.clouds,
-        };
+        let (mut walls, world) = (batch.walls(&network), batch.world(config.gravity));
         self.gradients.iter_mut().for_each(|gradient| gradient.fill(0.0));
-        let Trainer { options, unroll, by_states, gradients, .. } = self;
-        unroll.forward(&network, &batch.start, world, &mut walls, batch.truth.len());
+        let Trainer { options, adam, unroll, by_states, gradients, .. } = self;
+        if !unroll.forward(&network, &batch.start, world, &mut walls, batch.truth.len()) {
+            return Err(not_finite("a position", adam.updates));
+        }
         let loss = options.loss.evaluate(
             unroll.states(),
             &batch.truth,
@@ -170,11 +166,8 @@ impl Trainer {
         unroll.backward(&network, by_states, world, &mut walls, wanted);
         let finite = self.gradients.iter().flatten().all(|d| d.is_finite());
         if !(loss.is_finite() && finite) {
-            let what = if loss.is_finite() { "a derivative".into() } else { format!("the loss ({loss})") };
-            return Err(Error::Parameter(format!(
-                "{what} is not finite in update {}",
-                self.adam.updates + 1
-            )));
+            let what = if loss.is_finite() { "a derivative" } else { "the loss" };
+            return Err(not_finite(what, self.adam.updates));
         }
         Ok(loss)
     }
@@ -201,6 +194,10 @@ impl Trainer {
         }
         Ok(Progress { loss, gradient, rate })
     }
+}
+
+fn not_finite(what: &str, updates: u64) -> Error {
+    Error::Parameter(format!("{what} is not finite in update {}", updates + 1))
 }
 
 /// The values of all tensors.

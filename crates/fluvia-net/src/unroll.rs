@@ -39,11 +39,12 @@ impl Unroll {
         Unroll { storage, ..Unroll::default() }
     }
 
-    /// Runs `count` steps from `start`. The result is in [`Unroll::states`].
+    /// Runs `count` steps from `start`. The result is in [`Unroll::states`]; there is none, and false, if a position is
+    /// not finite after Eq. 11.
     ///
     /// # Panics
-    /// If lengths do not fit each other, if there are other numbers of clouds of particles and of walls, or if a
-    /// position is not finite after Eq. 11.
+    /// If lengths do not fit each other, or if there are other numbers of clouds of particles and of walls.
+    #[must_use]
     pub fn forward(
         &mut self,
         network: &Network,
@@ -51,7 +52,7 @@ impl Unroll {
         world: World<'_>,
         walls: &mut Walls,
         count: usize,
-    ) {
+    ) -> bool {
         let (kept, activations) = match self.storage {
             Storage::Keep => (count, Activations::Keep),
             Storage::Recompute => (count.min(1), Activations::Drop),
@@ -66,11 +67,15 @@ impl Unroll {
             state.clone_from(&self.states[k]);
             let before = (state.position.as_slice(), state.velocity.as_slice());
             let is_finite = step.forward(network, before, world, walls, activations, &mut self.memory);
-            assert!(is_finite, "step {}: a position of Eq. 11 is not finite", k + 1);
+            if !is_finite {
+                self.states.clear();
+                return false;
+            }
             step.correct(network, &mut state.position, &mut state.velocity);
             self.neighbors.push(step.neighbor_counts(network));
             self.states[k + 1] = state;
         }
+        true
     }
 
     /// The states after each step.

@@ -31,6 +31,7 @@ use crate::config::{Config, WALL_INPUTS};
 use crate::{Error, Result};
 use archive::{Archive, Entry};
 
+pub(crate) use self::safetensors::{FileTensor, content};
 pub use self::safetensors::{save_safetensors, to_safetensors};
 
 /// The weights of a network with its configuration.

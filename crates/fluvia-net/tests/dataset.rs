@@ -4,7 +4,7 @@
 
 use std::path::{Path, PathBuf};
 
-use fluvia_net::dataset::{Batch, Damaged, DataSet, Loader, Noise, Rotation, Sampling};
+use fluvia_net::dataset::{Batch, Damaged, DataSet, FreeFall, Loader, Noise, Rotation, Sampling};
 use fluvia_sim::frames::sequence::{Frame, Part, part_file_name, read_part, write_part};
 use fluvia_sim::particles::Boundary;
 
@@ -16,6 +16,7 @@ fn sampling() -> Sampling {
         group: 3,
         axis: Some([0.0, -9.81, 0.0]),
         noise: Noise::default(),
+        free: FreeFall { count: 0, gravity: [0.0, -9.81, 0.0], dt: 0.02 },
         viscosity: true,
         reach: 0.3,
         damaged: Damaged::Stop,

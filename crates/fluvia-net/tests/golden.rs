@@ -209,7 +209,7 @@ fn gradients_of_two_steps_equal_open3ds() {
         let mut walls = network.walls(&boundary.position, &boundary.normal, &[0, boundary.position.len()]);
         let world = step::World { extra: &[], acceleration: GRAVITY, clouds: &[0, count] };
         let mut unroll = Unroll::new(Storage::Keep);
-        unroll.forward(&network, &start, world, &mut walls, by_states.len());
+        assert!(unroll.forward(&network, &start, world, &mut walls, by_states.len()));
         let mut tensors: Vec<Vec<f32>> =
             weights.tensors().iter().map(|tensor| vec![0.0; tensor.values.len()]).collect();
         let mut state = integrate::State::zeros(count);

@@ -195,8 +195,8 @@ fn backward(
     };
     let mut unroll = Unroll::new(storage);
     // Twice, so that what is left in the memory of the first run would show.
-    unroll.forward(&network, &problem.start, world, &mut walls, problem.by_states.len() + 1);
-    unroll.forward(&network, &problem.start, world, &mut walls, problem.by_states.len());
+    assert!(unroll.forward(&network, &problem.start, world, &mut walls, problem.by_states.len() + 1));
+    assert!(unroll.forward(&network, &problem.start, world, &mut walls, problem.by_states.len()));
     unroll.backward(&network, &problem.by_states, world, &mut walls, gradients.wanted(positions));
 }
 
@@ -266,7 +266,7 @@ fn gradients_can_be_asked_for_one_by_one() {
     let acceleration = Acceleration::PerParticle(&problem.acceleration);
     let world = World { extra: &problem.extra, acceleration, clouds: &[0, 30] };
     let mut unroll = Unroll::new(Storage::Keep);
-    unroll.forward(&network, &problem.start, world, &mut walls, 2);
+    assert!(unroll.forward(&network, &problem.start, world, &mut walls, 2));
     let mut all = AllGradients::zeros(&problem.weights, 30, 30);
     let mut one = all.clone();
     let full = PositionGradient::Full;
@@ -343,7 +343,7 @@ fn check_batch(steps: usize, with_weights: bool) {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
             pool.install(|| {
                 let mut unroll = Unroll::new(Storage::Keep);
-                unroll.forward(&network, &together, world, &mut walls, steps);
+                assert!(unroll.forward(&network, &together, world, &mut walls, steps));
                 let mut gradients = AllGradients::zeros(&weights, total, total);
                 let full = PositionGradient::Full;
                 unroll.backward(&network, &by_states, world, &mut walls, gradients.wanted(full));

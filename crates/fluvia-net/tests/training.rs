@@ -121,7 +121,7 @@ fn taught(teacher: &Weights, batch: Batch) -> Batch {
         clouds: &batch.clouds,
     };
     let mut unroll = Unroll::new(Storage::Keep);
-    unroll.forward(&network, &batch.start, world, &mut walls, 2);
+    assert!(unroll.forward(&network, &batch.start, world, &mut walls, 2));
     let truth: Vec<State> = unroll.states().to_vec();
     Batch { truth, ..batch }
 }

@@ -40,7 +40,7 @@ fn six_outputs_are_positions_and_velocities() {
 
 /// The fully connected part of a layer.
 fn dense(weights: &mut Weights, layer: usize) -> &mut Dense {
-    weights.layers[layer].dense.as_mut().unwrap()
+    weights.layers[layer].dense.as_mut().expect("a fully connected part")
 }
 
 #[test]
@@ -230,7 +230,7 @@ fn the_published_files_hold_the_same_network() {
 /// The network of the cases: zero but for six numbers.
 fn probe() -> Weights {
     let mut probe = Weights::zeros(Config::default(), 32, &[64, 64]);
-    probe.fluid_dense.as_mut().unwrap().weight[3] = 2.0;
+    probe.fluid_dense.as_mut().expect("a fully connected part").weight[3] = 2.0;
     dense(&mut probe, 0).weight[(64 + 3) * 64 + 10] = 0.5;
     dense(&mut probe, 1).weight[10 * 64 + 20] = 3.0;
     dense(&mut probe, 2).weight[10 * 3] = 1.25;

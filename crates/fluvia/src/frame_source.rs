@@ -30,7 +30,7 @@ pub struct FrameSource {
 enum Kind {
     /// The directory of a run, with its record if it has one.
     Run(Option<Box<Record>>),
-    Sequence(Sequence),
+    Sequence(Box<Sequence>),
 }
 
 impl FrameSource {
@@ -79,7 +79,7 @@ impl FrameSource {
             dt: decimal(scene.map_or(dt, |scene| scene.dt.unwrap_or(DEFAULT_DT))),
             particle_radius: scene.and_then(|scene| scene.particle_radius).unwrap_or(DEFAULT_PARTICLE_RADIUS),
             gravity: scene.and_then(|scene| scene.gravity).unwrap_or(DEFAULT_GRAVITY),
-            kind: Kind::Sequence(sequence),
+            kind: Kind::Sequence(Box::new(sequence)),
         })
     }
 

@@ -6,6 +6,7 @@ use std::process::ExitCode;
 use anyhow::{Result, bail};
 use fluvia_sim::frames;
 
+use crate::curves::Curve;
 use crate::options::labelled;
 use crate::plots::{self, Panel, Scale};
 use crate::report::Report;
@@ -40,8 +41,9 @@ struct Curves<'a> {
     label: &'a str,
     /// Updates, loss, length of the gradient, rate, particles a second.
     train: [Vec<f64>; 5],
-    /// Updates, loss, errors after one and two steps.
-    valid: [Vec<f64>; 4],
+    /// Updates of validations, and errors after one and two steps.
+    validated: Vec<f64>,
+    errors: [Curve; 2],
 }
 
 pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
@@ -62,16 +64,18 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
 fn read(run: &str) -> Result<Curves<'_>> {
     let (label, path) = labelled(run);
     let path = path.join(FILE);
-    let mut curves = Curves { label, train: Default::default(), valid: Default::default() };
+    let mut curves =
+        Curves { label, train: Default::default(), validated: Vec::new(), errors: Default::default() };
     for line in read_whole(&path)? {
         match line {
             Line::Train { update, loss, gradient, rate, particles_per_s } => {
                 let values = [update as f64, loss, gradient, rate, particles_per_s];
                 curves.train.iter_mut().zip(values).for_each(|(curve, value)| curve.push(value));
             }
-            Line::Valid { update, loss, err_n1_mm, err_n2_mm } => {
-                let values = [update as f64, loss, err_n1_mm, err_n2_mm];
-                curves.valid.iter_mut().zip(values).for_each(|(curve, value)| curve.push(value));
+            Line::Valid { update, err_n1_mm, err_n2_mm, .. } => {
+                curves.validated.push(update as f64);
+                curves.errors[0].push(err_n1_mm);
+                curves.errors[1].push(err_n2_mm);
             }
         }
     }
@@ -82,19 +86,21 @@ fn read(run: &str) -> Result<Curves<'_>> {
 }
 
 fn picture(runs: &[Curves<'_>]) -> Result<String, String> {
-    let panel = |title, scale, curve: &dyn Fn(&Curves<'_>) -> (Vec<f64>, Vec<f64>)| {
+    let panel = |title, scale, curve: &dyn Fn(&Curves<'_>) -> (Vec<f64>, Curve)| {
         let curves = runs.iter().map(|run| {
             let (at, values) = curve(run);
-            (run.label, at, values.into_iter().map(Some).collect())
+            (run.label, at, values)
         });
         Panel { title, across: "updates", scale, curves: curves.collect() }
     };
-    let train = |k: usize| move |run: &Curves<'_>| (run.train[0].clone(), run.train[k].clone());
-    let valid = |k: usize| move |run: &Curves<'_>| (run.valid[0].clone(), run.valid[k].clone());
+    let train = |k: usize| {
+        move |run: &Curves<'_>| (run.train[0].clone(), run.train[k].iter().copied().map(Some).collect())
+    };
+    let valid = |k: usize| move |run: &Curves<'_>| (run.validated.clone(), run.errors[k].clone());
     let panels = [
         panel("loss", Scale::Logarithmic, &train(1)),
-        panel("validation: error after one step, mm", Scale::Logarithmic, &valid(2)),
-        panel("validation: error after two steps, mm", Scale::Logarithmic, &valid(3)),
+        panel("validation: error after one step, mm", Scale::Logarithmic, &valid(0)),
+        panel("validation: error after two steps, mm", Scale::Logarithmic, &valid(1)),
         panel("rate", Scale::Logarithmic, &train(3)),
         panel("length of the gradient", Scale::Logarithmic, &train(2)),
         panel("particles a second", Scale::Linear, &train(4)),

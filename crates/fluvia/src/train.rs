@@ -292,11 +292,13 @@ impl<'a> Run<'a> {
         let weights = self.result();
         let Some(validation) = &self.validation else { return Ok(()) };
         let errors = validation.errors(&weights, &self.plan.config.options(), Kernel::detect())?;
-        let mm = |step: usize| 1e3 * errors.position.get(step).copied().unwrap_or_default();
-        let update = self.place.updates;
-        let line = Line::Valid { update, loss: errors.loss, err_n1_mm: mm(0), err_n2_mm: mm(1) };
-        self.log.add(&line)?;
-        let judged = errors.position.last().copied().unwrap_or(f64::INFINITY);
+        let finite = |value: &f64| value.is_finite();
+        let error = |step: usize| errors.position.get(step).copied().filter(finite);
+        let mm = |step: usize| error(step).map(|metres| 1e3 * metres);
+        let (update, loss) = (self.place.updates, Some(errors.loss).filter(finite));
+        self.log.add(&Line::Valid { update, loss, err_n1_mm: mm(0), err_n2_mm: mm(1) })?;
+        // By the last step of the windows.
+        let Some(judged) = errors.position.last().copied().filter(finite) else { return Ok(()) };
         if self.place.best.is_none_or(|(_, best)| judged < best) {
             self.place.best = Some((update, judged));
             save_safetensors(self.plan.out.join(BEST), &weights)?;

@@ -8,15 +8,16 @@ use fluvia_neighbors::Point;
 use fluvia_sim::frames::sequence::{Part, read_part};
 
 use super::order::{Order, stream};
-use super::{Batch, DataSet, Noise, Rotation};
+use super::{Batch, DataSet, FreeFall, Noise, Rotation};
 use crate::{Error, Result};
 
 /// Batches that are ready before they are asked for.
 const AHEAD: usize = 4;
 
-/// What of the random numbers is for rotations, and for noise.
+/// What of the random numbers is for rotations, for noise and for particles that fall.
 const ROTATIONS: u64 = u64::MAX - 1;
 const NOISE: u64 = u64::MAX - 2;
+const FALL: u64 = u64::MAX - 3;
 
 /// What is done about a part that cannot be read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -42,6 +43,8 @@ pub struct Sampling {
     pub axis: Option<Point>,
     /// What is added to the states that windows start from.
     pub noise: Noise,
+    /// What every batch has beside its windows.
+    pub free: FreeFall,
     /// Whether particles have their viscosity as an extra input.
     pub viscosity: bool,
     /// How far from the fluid wall particles are kept, metres.
@@ -150,7 +153,9 @@ impl Reader {
                 batch.push(part, window.first, &rotation, viscosity, reach);
                 batch.disturb(self.sampling.noise, &mut noise);
                 if batch.clouds.len() > size {
-                    let batch = std::mem::replace(&mut batch, Batch::new(steps));
+                    let mut batch = std::mem::replace(&mut batch, Batch::new(steps));
+                    let mut fall = stream(self.sampling.seed, [FALL, self.position]);
+                    batch.push_free(self.sampling.free, &mut fall);
                     let skipped = std::mem::take(&mut self.skipped);
                     let loaded = Loaded { batch, next: self.position, skipped };
                     if sender.send(Ok(loaded)).is_err() {

@@ -1,11 +1,9 @@
 //! Normal noise on the states that windows start from: what a network then learns to make good.
 
-use std::f64::consts::TAU;
-
 use rand_pcg::Pcg64;
 
 use super::Batch;
-use super::order::unit;
+use super::order::normal;
 
 /// How much noise.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -29,13 +27,6 @@ impl Batch {
             }
         }
     }
-}
-
-/// A number of the normal distribution (Box & Muller 1958).
-fn normal(random: &mut Pcg64) -> f32 {
-    // Above 0, for it has a logarithm.
-    let (radius, turn) = (1.0 - unit(random), unit(random));
-    ((-2.0 * radius.ln()).sqrt() * (TAU * turn).cos()) as f32
 }
 
 #[cfg(test)]

@@ -88,6 +88,13 @@ pub fn unit(random: &mut Pcg64) -> f64 {
     (random.next_u64() >> 11) as f64 / (1u64 << 53) as f64
 }
 
+/// A number of the normal distribution (Box & Muller 1958).
+pub fn normal(random: &mut Pcg64) -> f32 {
+    // Above 0, for it has a logarithm.
+    let (radius, turn) = (1.0 - unit(random), unit(random));
+    ((-2.0 * radius.ln()).sqrt() * (std::f64::consts::TAU * turn).cos()) as f32
+}
+
 /// Fisher and Yates.
 fn shuffle<T>(values: &mut [T], random: &mut Pcg64) {
     for i in (1..values.len()).rev() {

@@ -2,14 +2,13 @@
 
 use cconv::Kernel;
 use fluvia_sim::frames::sequence::read_part;
-use fluvia_sim::particles::Acceleration;
 
 use super::Options;
 use crate::Result;
 use crate::dataset::{Batch, DataSet, Rotation, Sampling};
 use crate::evaluate::mean_distance;
-use crate::net::{Activations, Memory, Network};
-use crate::step::{Step, World};
+use crate::net::Network;
+use crate::unroll::{Storage, Unroll};
 use crate::weights::Weights;
 
 /// Windows of one call.
@@ -21,7 +20,7 @@ pub struct Validation {
     batches: Vec<Batch>,
 }
 
-/// What was found.
+/// What was found; infinite where a position was not finite.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Errors {
     /// The loss of training.
@@ -74,48 +73,27 @@ impl Validation {
     pub fn errors(&self, weights: &Weights, options: &Options, kernel: Kernel) -> Result<Errors> {
         let network = Network::new(weights, kernel)?.with_precision(options.precision);
         let config = network.config();
-        let (mut step, mut memory) = (Step::default(), Memory::default());
+        let mut unroll = Unroll::new(Storage::Recompute);
         let steps = self.batches.first().map_or(0, |batch| batch.truth.len());
         let mut errors = Errors { loss: 0.0, position: vec![0.0; steps] };
         let windows = self.windows().max(1) as f64;
         for batch in &self.batches {
-            let mut walls = network.walls(&batch.wall_position, &batch.wall_normal, &batch.wall_clouds);
-            let world = World {
-                extra: &batch.extra,
-                acceleration: Acceleration::Uniform(config.gravity),
-                clouds: &batch.clouds,
-            };
-            let mut state = batch.start.clone();
-            let (mut states, mut neighbors) = (Vec::new(), Vec::new());
-            for (truth, error) in batch.truth.iter().zip(&mut errors.position) {
-                let before = (state.position.as_slice(), state.velocity.as_slice());
-                let finite =
-                    step.forward(&network, before, world, &mut walls, Activations::Drop, &mut memory);
-                if !finite {
-                    *error = f64::INFINITY;
-                    errors.loss = f64::INFINITY;
-                    continue;
-                }
-                step.correct(&network, &mut state.position, &mut state.velocity);
+            let (mut walls, world) = (batch.walls(&network), batch.world(config.gravity));
+            if !unroll.forward(&network, &batch.start, world, &mut walls, steps) {
+                return Ok(Errors { loss: f64::INFINITY, position: vec![f64::INFINITY; steps] });
+            }
+            let states = unroll.states();
+            for ((state, truth), error) in states.iter().zip(&batch.truth).zip(&mut errors.position) {
                 for cloud in batch.clouds.windows(2) {
                     let rows = cloud[0]..cloud[1];
                     *error += mean_distance(&state.position[rows.clone()], &truth.position[rows]) / windows;
                 }
-                neighbors.push(step.neighbor_counts(&network));
-                states.push(state.clone());
             }
-            if states.len() == steps {
-                let part = (batch.clouds.len() - 1) as f64 / windows;
-                let loss = options.loss.evaluate(
-                    &states,
-                    &batch.truth,
-                    &neighbors,
-                    &batch.clouds,
-                    config.dt,
-                    &mut Vec::new(),
-                );
-                errors.loss += part * loss;
-            }
+            let part = (batch.clouds.len() - 1) as f64 / windows;
+            let (neighbors, clouds) = (unroll.neighbor_counts(), &batch.clouds);
+            let nowhere = &mut Vec::new();
+            errors.loss +=
+                part * options.loss.evaluate(states, &batch.truth, neighbors, clouds, config.dt, nowhere);
         }
         Ok(errors)
     }

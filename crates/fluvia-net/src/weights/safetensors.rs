@@ -51,17 +51,24 @@ pub fn to_safetensors(weights: &Weights) -> Result<Vec<u8>> {
             _ => FileTensor::new(name, shape, values),
         });
     }
-    let fault = |fault: SafeTensorError| Error::Parameter(format!("weights: {fault}"));
-    let mut views = Vec::with_capacity(tensors.len());
-    for FileTensor { name, shape, bytes } in &tensors {
-        views.push((name, TensorView::new(Dtype::F32, shape.clone(), bytes).map_err(fault)?));
-    }
     let record = Record::new(&weights.config, weights.training.as_deref());
-    let record =
-        serde_json::to_string(&record).map_err(|fault| Error::Parameter(format!("weights: {fault}")))?;
-    // One key only: several would be written in an order that changes from run to run.
-    let metadata = [(RECORD_KEY.to_owned(), record)].into_iter().collect();
-    serialize(views, Some(metadata)).map_err(fault)
+    content(&tensors, RECORD_KEY, &record).map_err(|fault| Error::Parameter(format!("weights: {fault}")))
+}
+
+/// A safetensors file with a record, as JSON, under one key of its metadata: several keys would be written in an order
+/// that changes from run to run.
+pub(crate) fn content(
+    tensors: &[FileTensor],
+    key: &str,
+    record: &impl Serialize,
+) -> std::result::Result<Vec<u8>, String> {
+    let text = |fault: SafeTensorError| fault.to_string();
+    let mut views = Vec::with_capacity(tensors.len());
+    for FileTensor { name, shape, bytes } in tensors {
+        views.push((name, TensorView::new(Dtype::F32, shape.clone(), bytes).map_err(text)?));
+    }
+    let record = serde_json::to_string(record).map_err(|fault| fault.to_string())?;
+    serialize(views, Some([(key.to_owned(), record)].into_iter().collect())).map_err(text)
 }
 
 /// Writes these weights as a safetensors file: to a temporary name first, which then takes the place of `path`.
@@ -74,14 +81,14 @@ pub fn save_safetensors(path: impl AsRef<Path>, weights: &Weights) -> Result<()>
 }
 
 /// A tensor in the form of the file.
-struct FileTensor {
+pub(crate) struct FileTensor {
     name: String,
     shape: Vec<usize>,
     bytes: Vec<u8>,
 }
 
 impl FileTensor {
-    fn new(name: String, shape: Vec<usize>, values: &[f32]) -> FileTensor {
+    pub(crate) fn new(name: String, shape: Vec<usize>, values: &[f32]) -> FileTensor {
         FileTensor { name, shape, bytes: values.iter().flat_map(|value| value.to_le_bytes()).collect() }
     }
 }

@@ -6,7 +6,7 @@ use anyhow::{Context, Result, bail};
 use cconv::{Interpolation, PositionGradient, Window};
 use fluvia_net::adam;
 use fluvia_net::config::{Config as NetworkConfig, Integration};
-use fluvia_net::dataset::{Damaged, Noise, Sampling};
+use fluvia_net::dataset::{Damaged, FreeFall, Noise, Sampling};
 use fluvia_net::loss::Loss;
 use fluvia_net::train::{Options, Schedule};
 use fluvia_net::unroll::Storage;
@@ -137,6 +137,8 @@ pub struct Training {
     pub position_noise: f32,
     /// The same of velocities, metres per second.
     pub velocity_noise: f32,
+    /// Particles that fall freely in every batch, as one cloud more.
+    pub free_particles: usize,
     pub precision: PrecisionName,
     /// How much of the averaged weights stays in an update; 0 averages nothing.
     pub average: f32,
@@ -158,6 +160,7 @@ impl Default for Training {
             rotate: true,
             position_noise: 0.0,
             velocity_noise: 0.0,
+            free_particles: 0,
             precision: PrecisionName::F32,
             average: 0.0,
             positions: false,
@@ -382,6 +385,7 @@ impl Config {
     }
 
     pub fn sampling(&self, damaged: Damaged) -> Sampling {
+        let Network { gravity, dt, .. } = self.network;
         let Training { seed, batch, steps, group, rotate, position_noise, velocity_noise, .. } =
             self.training;
         Sampling {
@@ -391,6 +395,7 @@ impl Config {
             group,
             axis: rotate.then_some(self.network.gravity),
             noise: Noise { position: position_noise, velocity: velocity_noise },
+            free: FreeFall { count: self.training.free_particles, gravity, dt },
             viscosity: self.network.viscosity,
             reach: NetworkConfig::default().filter_radius + WALL_SLACK,
             damaged,

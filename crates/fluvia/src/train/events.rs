@@ -33,13 +33,13 @@ impl Events {
         Ok(events)
     }
 
-    /// Adds values of one step, by their tags.
-    pub fn add(&mut self, step: u64, values: &[(&str, f64)]) -> Result<()> {
+    /// Adds values of one step, by their tags; those that there are.
+    pub fn add(&mut self, step: u64, values: &[(&str, Option<f64>)]) -> Result<()> {
         let mut summary = Message::default();
-        for (tag, value) in values {
+        for (tag, value) in values.iter().filter_map(|(tag, value)| Some((tag, (*value)?))) {
             let mut entry = Message::default();
             entry.bytes(1, tag.as_bytes());
-            entry.float(2, *value as f32);
+            entry.float(2, value as f32);
             summary.bytes(1, &entry.0);
         }
         let mut event = Message::default();

@@ -19,8 +19,8 @@ pub const FILE: &str = "metrics.jsonl";
 pub enum Line {
     /// On its batch.
     Train { update: u64, loss: f64, gradient: f64, rate: f64, particles_per_s: f64 },
-    /// On the validation windows.
-    Valid { update: u64, loss: f64, err_n1_mm: f64, err_n2_mm: f64 },
+    /// On the validation windows; `None` where a number is not finite.
+    Valid { update: u64, loss: Option<f64>, err_n1_mm: Option<f64>, err_n2_mm: Option<f64> },
 }
 
 impl Line {
@@ -66,10 +66,10 @@ impl Log {
             Line::Train { update, loss, gradient, rate, particles_per_s } => self.events.add(
                 update,
                 &[
-                    ("train/loss", loss),
-                    ("train/gradient", gradient),
-                    ("train/rate", rate),
-                    ("train/particles_per_s", particles_per_s),
+                    ("train/loss", Some(loss)),
+                    ("train/gradient", Some(gradient)),
+                    ("train/rate", Some(rate)),
+                    ("train/particles_per_s", Some(particles_per_s)),
                 ],
             ),
             Line::Valid { update, loss, err_n1_mm, err_n2_mm } => self.events.add(

@@ -103,15 +103,15 @@ fn curves_of_trainings() {
     let folder = Folder::new();
     for (run, scale) in [("a", 1.0), ("b", 2.0)] {
         std::fs::create_dir(folder.path(run)).unwrap();
-        let line = |k: usize| {
-            let loss = scale / (1.0 + k as f64);
+        let line = |k: u32| {
+            let loss = scale / (1.0 + f64::from(k));
             let train = format!(
                 r#"{{"kind":"train","update":{k},"loss":{loss},"gradient":1.0,"rate":0.001,"particles_per_s":5e4}}"#
             );
             let valid = format!(
                 r#"{{"kind":"valid","update":{k},"loss":{loss},"err_n1_mm":{loss},"err_n2_mm":{loss}}}"#
             );
-            if k % 10 == 0 { format!("{train}\n{valid}\n") } else { format!("{train}\n") }
+            if k.is_multiple_of(10) { format!("{train}\n{valid}\n") } else { format!("{train}\n") }
         };
         folder.write(&format!("{run}/metrics.jsonl"), (1..=40).map(line).collect::<String>());
     }

@@ -135,6 +135,9 @@ fn what_is_refused() {
     folder.fail("train config.toml --data data --out damaged", &["sim_0002_00.msgpack.zst"]);
     let run = folder.succeed("train config.toml --data data --out left --skip-damaged");
     assert!(run.stderr.contains("sim_0002_00.msgpack.zst"), "{}", run.stderr);
+    // Weights that explode.
+    folder.write("wild.toml", CONFIG.replace("highest = 0.01", "highest = 1e30"));
+    folder.fail("train wild.toml --data data --skip-damaged --out wild", &["not finite in update"]);
     // A checkpoint that is cut short.
     let checkpoint = folder.path("run/checkpoint.safetensors");
     let bytes = std::fs::read(&checkpoint).unwrap();
