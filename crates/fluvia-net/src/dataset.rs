@@ -96,7 +96,9 @@ impl DataSet {
 pub struct Batch {
     /// The states that the windows start from.
     pub start: State,
-    /// The true states after each step.
+    /// The steps from there that count for nothing: the network's own states are what it starts from then.
+    pub lead: usize,
+    /// The true states after each step, those of the lead included.
     pub truth: Vec<State>,
     /// The extra inputs of each particle, [particles, extra inputs].
     pub extra: Vec<f32>,
@@ -111,10 +113,11 @@ pub struct Batch {
 }
 
 impl Batch {
-    /// No clouds; windows of so many steps.
-    pub fn new(steps: usize) -> Batch {
+    /// No clouds; windows of so many steps after the lead.
+    pub fn new(steps: usize, lead: usize) -> Batch {
         Batch {
-            truth: vec![State::default(); steps],
+            lead,
+            truth: vec![State::default(); lead + steps],
             clouds: vec![0],
             wall_clouds: vec![0],
             ..Batch::default()

@@ -1,7 +1,7 @@
 //! Training: one step from a batch, and what it keeps.
 //!
 //! ```text
-//! batch -> K steps of the network -> loss (Eq. 16-17) -> backward -> Adam -> averages
+//! batch -> steps without gradient, perhaps -> K steps of the network -> loss (Eq. 16-17) -> backward -> Adam -> averages
 //! ```
 
 use cconv::{Kernel, PositionGradient, Precision};
@@ -64,6 +64,8 @@ pub struct Trainer {
     averages: Option<Vec<Vec<f32>>>,
     gradients: Vec<Vec<f32>>,
     by_states: Vec<State>,
+    /// The steps before those that count.
+    lead: Unroll,
     unroll: Unroll,
 }
 
@@ -100,8 +102,9 @@ impl Trainer {
                 return Err(Error::Parameter("moments or averages of other tensors than the weights".into()));
             }
         }
-        let unroll = Unroll::new(options.storage);
-        Ok(Trainer { options, kernel, weights, adam, averages, gradients, by_states: Vec::new(), unroll })
+        let (lead, unroll) = (Unroll::new(Storage::Recompute), Unroll::new(options.storage));
+        let by_states = Vec::new();
+        Ok(Trainer { options, kernel, weights, adam, averages, gradients, by_states, lead, unroll })
     }
 
     /// The weights of now.
@@ -146,13 +149,18 @@ impl Trainer {
         let config = network.config();
         let (mut walls, world) = (batch.walls(&network), batch.world(config.gravity));
         self.gradients.iter_mut().for_each(|gradient| gradient.fill(0.0));
-        let Trainer { options, adam, unroll, by_states, gradients, .. } = self;
-        if !unroll.forward(&network, &batch.start, world, &mut walls, batch.truth.len()) {
+        let Trainer { options, adam, lead, unroll, by_states, gradients, .. } = self;
+        let truth = &batch.truth[batch.lead..];
+        let finite = lead.forward(&network, &batch.start, world, &mut walls, batch.lead) && {
+            let start = lead.states().last().unwrap_or(&batch.start);
+            unroll.forward(&network, start, world, &mut walls, truth.len())
+        };
+        if !finite {
             return Err(not_finite("a position", adam.updates));
         }
         let loss = options.loss.evaluate(
             unroll.states(),
-            &batch.truth,
+            truth,
             unroll.neighbor_counts(),
             &batch.clouds,
             config.dt,

@@ -13,6 +13,7 @@ fn sampling() -> Sampling {
         seed: 7,
         batch: 4,
         steps: 2,
+        lead: 0,
         group: 3,
         axis: Some([0.0, -9.81, 0.0]),
         noise: Noise::default(),
@@ -85,7 +86,10 @@ fn an_epoch_has_every_window_and_goes_on_from_any_batch() {
     assert_eq!(starts, all);
 
     let noise = Noise { position: 0.01, velocity: 0.0 };
-    for changed in [sampling(), Sampling { noise, ..straight }] {
+    let led = Sampling { lead: 3, ..straight.clone() };
+    let leads: Vec<usize> = take(&data, led.clone(), 0, 9).iter().map(|(batch, _)| batch.lead).collect();
+    assert!((0..=3).all(|lead| leads.contains(&lead)), "{leads:?}");
+    for changed in [sampling(), Sampling { noise, ..straight }, led] {
         let other = take(&data, changed.clone(), 0, 9);
         assert!(other.iter().zip(&batches).all(|(a, b)| a.0 != b.0));
         for from in [0, 3, 7] {
@@ -100,7 +104,7 @@ fn an_epoch_has_every_window_and_goes_on_from_any_batch() {
 #[test]
 fn turning_keeps_heights_and_distances() {
     let part = read_part(&fixtures().join("plain/fall_00.msgpack.zst")).unwrap();
-    let mut batch = Batch::new(2);
+    let mut batch = Batch::new(2, 0);
     batch.push(&part, 0, &Rotation::about([0.0, -9.81, 0.0], 1.0), false, 10.0);
     let frame = &part.frames[0];
     for (a, b) in frame.position.iter().zip(&batch.start.position) {

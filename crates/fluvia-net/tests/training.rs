@@ -11,8 +11,9 @@ use fluvia_net::adam;
 use fluvia_net::dataset::Batch;
 use fluvia_net::integrate::State;
 use fluvia_net::loss::Loss;
+use fluvia_net::net::Network;
 use fluvia_net::train::{Options, Schedule, Trainer};
-use fluvia_net::unroll::Storage;
+use fluvia_net::unroll::{Storage, Unroll};
 use fluvia_net::weights::{self, Weights};
 use fluvia_sim::frames::npz::{Array, read_arrays};
 
@@ -49,7 +50,7 @@ impl Golden {
     }
 
     fn batch(&self, b: usize) -> Batch {
-        let mut batch = Batch::new(2);
+        let mut batch = Batch::new(2, 0);
         for c in 0..2 {
             let points = |name: &str| self.points(&format!("{name}_{b}_{c}"));
             batch.start.position.extend(points("pos"));
@@ -109,17 +110,8 @@ fn twenty_steps_follow_the_losses_of_pytorch() {
 
 /// A batch with known answers: what the network of `teacher` does.
 fn taught(teacher: &Weights, batch: Batch) -> Batch {
-    use fluvia_net::net::Network;
-    use fluvia_net::step::World;
-    use fluvia_net::unroll::Unroll;
-    use fluvia_sim::particles::Acceleration;
     let network = Network::new(teacher, Kernel::detect()).unwrap();
-    let mut walls = network.walls(&batch.wall_position, &batch.wall_normal, &batch.wall_clouds);
-    let world = World {
-        extra: &[],
-        acceleration: Acceleration::Uniform(teacher.config.gravity),
-        clouds: &batch.clouds,
-    };
+    let (mut walls, world) = (batch.walls(&network), batch.world(teacher.config.gravity));
     let mut unroll = Unroll::new(Storage::Keep);
     assert!(unroll.forward(&network, &batch.start, world, &mut walls, 2));
     let truth: Vec<State> = unroll.states().to_vec();
@@ -154,6 +146,21 @@ fn a_network_learns_and_its_average_follows() {
     assert!(averaged < 0.65 * before, "{before} to {averaged}");
     let (again, _, same) = run(3);
     assert!(losses == again && result == same, "other bits with other numbers of threads");
+}
+
+#[test]
+fn a_lead_is_walked_without_gradient() {
+    let golden = Golden::open();
+    let weights = weights::load(golden_folder().join("net.pt")).unwrap();
+    let batch = golden.batch(0);
+    let first = taught(&weights, batch.clone()).truth[0].clone();
+    let later = Batch { start: first, truth: batch.truth[1..].to_vec(), ..batch.clone() };
+    let led = Batch { lead: 1, ..batch };
+    let [expected, found] = [later, led].map(|batch| {
+        let mut trainer = Trainer::new(published(), weights.clone(), Kernel::detect()).unwrap();
+        (trainer.differentiate(&batch).unwrap(), trainer.gradients().to_vec())
+    });
+    assert!(found == expected, "{} and {}", found.0, expected.0);
 }
 
 #[test]

@@ -61,7 +61,7 @@ mod tests {
     #[test]
     fn nothing_moves_them_but_gravity() {
         let fall = FreeFall { count: 5, gravity: [0.0, -9.81, 0.5], dt: 0.02 };
-        let mut batch = Batch::new(2);
+        let mut batch = Batch::new(2, 0);
         batch.push_free(fall, &mut stream(1, [2, 3]));
         assert_eq!((batch.clouds.as_slice(), batch.wall_clouds.as_slice()), (&[0, 5][..], &[0, 0][..]));
         for i in 0..5 {

@@ -7,17 +7,18 @@ use std::thread::JoinHandle;
 use fluvia_neighbors::Point;
 use fluvia_sim::frames::sequence::{Part, read_part};
 
-use super::order::{Order, stream};
+use super::order::{Order, below, stream};
 use super::{Batch, DataSet, FreeFall, Noise, Rotation};
 use crate::{Error, Result};
 
 /// Batches that are ready before they are asked for.
 const AHEAD: usize = 4;
 
-/// What of the random numbers is for rotations, for noise and for particles that fall.
+/// What of the random numbers is for rotations, for noise, for particles that fall and for the lead.
 const ROTATIONS: u64 = u64::MAX - 1;
 const NOISE: u64 = u64::MAX - 2;
 const FALL: u64 = u64::MAX - 3;
+const LEAD: u64 = u64::MAX - 4;
 
 /// What is done about a part that cannot be read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -35,8 +36,10 @@ pub struct Sampling {
     pub seed: u64,
     /// Windows of a batch.
     pub batch: usize,
-    /// Steps of a window, one less than its frames.
+    /// Steps of a window that count.
     pub steps: usize,
+    /// The most steps before those, without gradient: each batch has its own number of them, from 0 on.
+    pub lead: usize,
     /// Parts that are together in memory.
     pub group: usize,
     /// The axis of random rotations; `None` turns nothing.
@@ -51,6 +54,13 @@ pub struct Sampling {
     pub reach: f32,
     /// What is done about parts that cannot be read.
     pub damaged: Damaged,
+}
+
+impl Sampling {
+    /// Frames of a window.
+    pub fn frames(&self) -> usize {
+        self.lead + self.steps + 1
+    }
 }
 
 /// A batch, and the position of the stream after its last window: where a training that has used it goes on.
@@ -77,12 +87,12 @@ impl Loader {
     /// # Errors
     /// `Parameter` if the data set has no window of so many steps.
     pub fn start(data: &DataSet, sampling: Sampling, position: u64) -> Result<Loader> {
-        let windows = data.windows(sampling.steps + 1);
+        let windows = data.windows(sampling.frames());
         let order = Order::new(sampling.seed, windows, sampling.group);
         if order.epoch_length() == 0 {
             let message = format!(
                 "no part of the data set has {} frames or more, as a window needs",
-                sampling.steps + 1
+                sampling.frames()
             );
             return Err(Error::Parameter(message));
         }
@@ -130,8 +140,8 @@ struct Reader {
 impl Reader {
     /// Makes batches until nobody takes them.
     fn run(&mut self, sender: &SyncSender<Result<Loaded>>) -> Result<()> {
-        let Sampling { batch: size, steps, .. } = self.sampling;
-        let mut batch = Batch::new(steps);
+        let size = self.sampling.batch;
+        let mut batch = self.begin();
         // Windows in a row that could not be read.
         let mut missed = 0;
         while let Some(group) = self.order.group_of(self.position) {
@@ -153,7 +163,8 @@ impl Reader {
                 batch.push(part, window.first, &rotation, viscosity, reach);
                 batch.disturb(self.sampling.noise, &mut noise);
                 if batch.clouds.len() > size {
-                    let mut batch = std::mem::replace(&mut batch, Batch::new(steps));
+                    let next = self.begin();
+                    let mut batch = std::mem::replace(&mut batch, next);
                     let mut fall = stream(self.sampling.seed, [FALL, self.position]);
                     batch.push_free(self.sampling.free, &mut fall);
                     let skipped = std::mem::take(&mut self.skipped);
@@ -165,6 +176,13 @@ impl Reader {
             }
         }
         Ok(())
+    }
+
+    /// The batch whose first window is at the position.
+    fn begin(&self) -> Batch {
+        let Sampling { seed, steps, lead, .. } = self.sampling;
+        let lead = below(&mut stream(seed, [LEAD, self.position]), lead as u64 + 1) as usize;
+        Batch::new(steps, lead)
     }
 
     /// The rotation of the window at the position.

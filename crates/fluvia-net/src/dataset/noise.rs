@@ -39,7 +39,7 @@ mod tests {
     fn the_last_cloud_alone_is_disturbed() {
         let count = 4000;
         let mut batch =
-            Batch { start: State::zeros(count + 10), clouds: vec![0, 10, count + 10], ..Batch::new(0) };
+            Batch { start: State::zeros(count + 10), clouds: vec![0, 10, count + 10], ..Batch::new(0, 0) };
         batch.disturb(Noise { position: 0.002, velocity: 0.0 }, &mut stream(1, [2, 3]));
         assert_eq!(batch.start.velocity, State::zeros(count + 10).velocity);
         assert_eq!(batch.start.position[..10], [[0.0; 3]; 10]);

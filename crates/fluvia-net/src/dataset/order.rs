@@ -104,7 +104,7 @@ fn shuffle<T>(values: &mut [T], random: &mut Pcg64) {
 
 /// A number below `bound`: the upper half of a product of 128 bits (Lemire 2019), without his correction, for bounds
 /// here are small beside 2^64.
-fn below(random: &mut Pcg64, bound: u64) -> u64 {
+pub fn below(random: &mut Pcg64, bound: u64) -> u64 {
     ((u128::from(random.next_u64()) * u128::from(bound)) >> 64) as u64
 }
 

@@ -35,12 +35,13 @@ impl Validation {
     /// # Errors
     /// If a part cannot be read.
     pub fn read(data: &DataSet, sampling: &Sampling, windows: usize) -> Result<Validation> {
-        let counts = data.windows(sampling.steps + 1);
+        let steps = sampling.steps;
+        let counts = data.windows(steps + 1);
         let all: usize = counts.iter().sum();
         let windows = windows.min(all);
         let mut chosen = (0..windows).map(|k| (2 * k + 1) * all / (2 * windows)).peekable();
         let (mut batches, mut first) = (Vec::new(), 0);
-        let mut batch = Batch::new(sampling.steps);
+        let mut batch = Batch::new(steps, 0);
         for (part, count) in data.parts().iter().zip(counts) {
             let mut loaded = None;
             while let Some(window) = chosen.next_if(|&window| window < first + count) {
@@ -50,7 +51,7 @@ impl Validation {
                 let Some(part) = &loaded else { continue };
                 batch.push(part, window - first, &Rotation::NONE, sampling.viscosity, sampling.reach);
                 if batch.clouds.len() > TOGETHER {
-                    batches.push(std::mem::replace(&mut batch, Batch::new(sampling.steps)));
+                    batches.push(std::mem::replace(&mut batch, Batch::new(steps, 0)));
                 }
             }
             first += count;

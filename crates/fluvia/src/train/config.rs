@@ -127,8 +127,10 @@ pub struct Training {
     pub updates: u64,
     /// Windows of a batch.
     pub batch: usize,
-    /// Steps of the network from the start of a window.
+    /// Steps of the network in a window.
     pub steps: usize,
+    /// The most steps before those, without gradient: a batch has 0 or more. A network then learns from its own states.
+    pub lead: usize,
     /// Seed of the first weights, of the order of the data and of rotations.
     pub seed: u64,
     /// Whether windows are turned about the axis of gravity at random.
@@ -156,6 +158,7 @@ impl Default for Training {
             updates: 50_000,
             batch: 16,
             steps: 2,
+            lead: 0,
             seed: 0,
             rotate: true,
             position_noise: 0.0,
@@ -386,12 +389,13 @@ impl Config {
 
     pub fn sampling(&self, damaged: Damaged) -> Sampling {
         let Network { gravity, dt, .. } = self.network;
-        let Training { seed, batch, steps, group, rotate, position_noise, velocity_noise, .. } =
+        let Training { seed, batch, steps, lead, group, rotate, position_noise, velocity_noise, .. } =
             self.training;
         Sampling {
             seed,
             batch,
             steps,
+            lead,
             group,
             axis: rotate.then_some(self.network.gravity),
             noise: Noise { position: position_noise, velocity: velocity_noise },
