@@ -45,6 +45,8 @@ pub struct DataSet {
 pub struct PartFile {
     /// Where it is.
     pub path: PathBuf,
+    /// The name of its sequence.
+    pub sequence: String,
     /// The number of its first frame.
     pub first: u64,
     /// How many frames it has.
@@ -73,6 +75,7 @@ impl DataSet {
             starts.push(sequence.frames().end);
             parts.extend(sequence.parts().iter().zip(starts.windows(2)).map(|(path, start)| PartFile {
                 path: path.clone(),
+                sequence: sequence.name().to_owned(),
                 first: start[0],
                 frames: (start[1] - start[0]) as usize,
             }));
@@ -98,6 +101,8 @@ pub struct Batch {
     pub start: State,
     /// The steps from there that count for nothing: the network's own states are what it starts from then.
     pub lead: usize,
+    /// How many of the particles, the last, are of no window.
+    pub free: usize,
     /// The true states after each step, those of the lead included.
     pub truth: Vec<State>,
     /// The extra inputs of each particle, [particles, extra inputs].
@@ -122,6 +127,11 @@ impl Batch {
             wall_clouds: vec![0],
             ..Batch::default()
         }
+    }
+
+    /// Particles of windows, each as often as it has steps that count.
+    pub fn samples(&self) -> u64 {
+        ((self.start.position.len() - self.free) * (self.truth.len() - self.lead)) as u64
     }
 
     /// The particles' extra inputs and clouds, in a world with this gravity.

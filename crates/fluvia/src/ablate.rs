@@ -1,16 +1,18 @@
 //! `fluvia ablate`: trains variants of a network, each with several seeds, and sets their figures side by side.
 //!
 //! ```text
-//! OUT/NAME/seed_S/   a training, as `fluvia train` writes it, and figures.json
+//! OUT/NAME/seed_S/   a training, as `fluvia train` writes it, and figures.json, what `fluvia evaluate` finds of it
 //! OUT/ablation.json  all figures
 //! OUT/ablation.md    the table, beside the paper's
 //! ```
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::sync::atomic::AtomicBool;
 
 use anyhow::{Context, Result, bail};
-use fluvia_sim::frames;
+use fluvia_net::weights;
+use fluvia_sim::frames::{self, sequence};
 use serde::Serialize;
 use serde_json::{Value, json};
 
@@ -18,6 +20,7 @@ use crate::evaluate;
 use crate::interrupt;
 use crate::options::{PrecisionName, thread_pool, threads};
 use crate::plots::short;
+use crate::record::read_source;
 use crate::report::Report;
 use crate::train::config::{Config, Data};
 use crate::train::{self, Plan, Trained};
@@ -102,6 +105,10 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
     if let Some((k, name)) = names.iter().enumerate().find(|(k, name)| names[..*k].contains(name)) {
         bail!("CONFIG {}: two variants are called {name}", k + 1);
     }
+    // All that can be wrong shows before the first training.
+    for config in &configs {
+        evaluate::check(config.first_weights(), &args.data, report)?;
+    }
     std::fs::create_dir_all(&args.out).with_context(|| args.out.display().to_string())?;
     let interrupted = interrupt::watch()?;
     let variants = thread_pool(args.threads)?.install(|| -> Result<Option<Vec<Variant>>> {
@@ -114,12 +121,18 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
                 report.note(format_args!("{}, seed {seed}", variant.name));
                 let plan = plan(args, config.clone(), seed, out);
                 let Some(trained) = train::train(&plan, &interrupted, report)? else { return Ok(None) };
-                variant.figures.push(figures(args, &plan, &trained, report)?);
+                let Some(figures) = figures(args, &plan, &trained, &interrupted, report)? else {
+                    return Ok(None);
+                };
+                variant.figures.push(figures);
             }
         }
         Ok(Some(variants))
     })?;
-    let Some(variants) = variants else { return Ok(interrupt::exit_code()) };
+    let Some(variants) = variants else {
+        report.note("stopped; the same command goes on");
+        return Ok(interrupt::exit_code());
+    };
     let table = markdown(&variants);
     frames::write_json(&args.out.join(JSON), &variants)?;
     let text = table.clone() + "\n";
@@ -132,7 +145,7 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
 fn plan(args: &Args, mut config: Config, seed: u64, out: PathBuf) -> Plan {
     config.data = Data::of(std::slice::from_ref(&args.data));
     config.training.seed = seed;
-    config.training.updates = args.updates.unwrap_or(config.training.updates);
+    config.set_updates(args.updates.unwrap_or(config.training.updates));
     config.training.precision = args.precision.unwrap_or(config.training.precision);
     Plan {
         config,
@@ -145,16 +158,42 @@ fn plan(args: &Args, mut config: Config, seed: u64, out: PathBuf) -> Plan {
     }
 }
 
-/// The figures of a training, evaluated once.
-fn figures(args: &Args, plan: &Plan, trained: &Trained, report: &Report) -> Result<Value> {
+/// The figures of a training: those on disk if they are of the same weights on the same data. `None` if it was told to stop.
+fn figures(
+    args: &Args,
+    plan: &Plan,
+    trained: &Trained,
+    interrupted: &AtomicBool,
+    report: &Report,
+) -> Result<Option<Value>> {
     let path = plan.out.join(FIGURES);
+    let (bytes, source) = read_source(&trained.weights)?;
+    let of = json!({ "weights_sha256": source.sha256, "data": sizes(&args.data)? });
     if path.exists() {
-        return Ok(frames::read_json(&path)?);
+        let mut old: Value = frames::read_json(&path)?;
+        if old["of"] == of {
+            return Ok(Some(old["figures"].take()));
+        }
     }
-    let figures = evaluate::of_weights(&trained.weights, PrecisionName::F32, &args.data, report)?;
-    let value = serde_json::to_value(figures)?;
-    frames::write_json(&path, &value)?;
-    Ok(value)
+    let weights = weights::from_bytes(&trained.weights, bytes)?;
+    let Some(figures) = evaluate::of_weights(weights, &args.data, interrupted, report)? else {
+        return Ok(None);
+    };
+    let figures = serde_json::to_value(figures)?;
+    frames::write_json(&path, &json!({ "of": of, "figures": figures }))?;
+    Ok(Some(figures))
+}
+
+/// The validation scenes by the sizes of their files: others are compressed to others.
+fn sizes(data: &Path) -> Result<Vec<u64>> {
+    let mut sizes = Vec::new();
+    for files in sequence::find(&data.join("valid"))? {
+        for part in files.parts {
+            let metadata = std::fs::metadata(&part).with_context(|| part.display().to_string())?;
+            sizes.push(metadata.len());
+        }
+    }
+    Ok(sizes)
 }
 
 /// Means over seeds with half of their range, and in brackets what the paper has.

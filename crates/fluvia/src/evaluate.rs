@@ -6,11 +6,12 @@ mod truth;
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context, Result, bail};
 use cconv::Kernel;
 use fluvia_net::evaluate::{Judged, Rolled, StartErrors, Truth, lone_acceleration};
-use fluvia_net::weights;
+use fluvia_net::weights::{self, Weights};
 use fluvia_sim::particles::Boundary;
 use fluvia_sim::scene::{Emitter, Material, Setup};
 use indicatif::ProgressBar;
@@ -93,7 +94,8 @@ struct Sequence {
 /// What a solver did.
 struct Evaluation {
     label: String,
-    lone_acceleration: [f64; 3],
+    /// `None` if a number is not finite.
+    lone_acceleration: Option<[f64; 3]>,
     /// On each sequence.
     outcomes: Vec<Outcome>,
 }
@@ -162,15 +164,35 @@ fn candidates(args: &Args, truths: &[Recorded]) -> Result<Vec<Candidate>> {
     Ok(candidates)
 }
 
-/// The figures of weights on the sequences of a data set.
+/// Makes sure that weights can be evaluated on the sequences of a data set.
 ///
 /// # Errors
-/// If weights or frames cannot be read, or do not fit each other.
-pub fn of_weights(path: &Path, precision: PrecisionName, data: &Path, report: &Report) -> Result<Figures> {
-    let choice = Choice::Network(Box::new(weights::load(path)?), precision);
-    let candidate = Candidate { label: path.display().to_string(), choice };
+/// As [`of_weights`].
+pub fn check(weights: Weights, data: &Path, report: &Report) -> Result<()> {
+    let choice = Choice::Network(Box::new(weights), PrecisionName::F32);
+    for path in truth::find(data)? {
+        choice.check(&path, &Recorded::open(&path, None, report)?.setup)?;
+    }
+    Ok(())
+}
+
+/// The figures of weights on the sequences of a data set; `None` if it was told to stop.
+///
+/// # Errors
+/// If frames cannot be read, or do not fit the weights.
+pub fn of_weights(
+    weights: Weights,
+    data: &Path,
+    interrupted: &AtomicBool,
+    report: &Report,
+) -> Result<Option<Figures>> {
+    let choice = Choice::Network(Box::new(weights), PrecisionName::F32);
+    let candidate = Candidate { label: String::new(), choice };
     let (mut sequences, mut outcomes) = (Vec::new(), Vec::new());
     for path in truth::find(data)? {
+        if interrupted.load(Ordering::Relaxed) {
+            return Ok(None);
+        }
         let mut truth = Recorded::open(&path, None, report)?;
         candidate.choice.check(&path, &truth.setup)?;
         let frames = truth.frames();
@@ -179,7 +201,7 @@ pub fn of_weights(path: &Path, precision: PrecisionName, data: &Path, report: &R
         outcomes.push(outcome(&candidate, &mut truth, &bar)?);
         bar.finish_and_clear();
     }
-    Ok(Figures::of(&sequences.iter().zip(&outcomes).collect::<Vec<_>>()))
+    Ok(Some(Figures::of(&sequences.iter().zip(&outcomes).collect::<Vec<_>>())))
 }
 
 /// Reads all true frames.
@@ -226,7 +248,7 @@ fn outcome(candidate: &Candidate, truth: &mut Recorded, bar: &ProgressBar) -> Re
 }
 
 /// The acceleration of a particle alone, without walls; under the gravity of the scene, or that of the weights.
-fn lone(choice: &Choice, setup: &Setup) -> Result<[f64; 3]> {
+fn lone(choice: &Choice, setup: &Setup) -> Result<Option<[f64; 3]>> {
     let (gravity, dt) = match choice {
         Choice::Network(weights, _) => (weights.config.gravity, weights.config.dt),
         Choice::Dfsph(_) | Choice::Pbf(_) => (setup.gravity, setup.dt),

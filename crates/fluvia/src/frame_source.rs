@@ -143,10 +143,12 @@ pub const NO_FRAMES: &str = "no frames, expected the directory of a run with flu
 
 /// The scene that a sequence was made from, where `fluvia generate` has left its record beside the parts.
 pub fn recorded_scene(sequence: &Sequence) -> Result<Option<Scene>> {
-    let folder = sequence.parts().first().and_then(|part| part.parent());
-    let Some(path) = folder.map(|folder| folder.join(format!("{}.json", sequence.name()))) else {
-        return Ok(None);
-    };
+    sequence.parts().first().map_or(Ok(None), |part| recorded_beside(part, sequence.name()))
+}
+
+/// The same of the sequence of that name, one of whose parts is `part`.
+pub fn recorded_beside(part: &Path, name: &str) -> Result<Option<Scene>> {
+    let path = part.with_file_name(format!("{name}.json"));
     if !path.exists() {
         return Ok(None);
     }

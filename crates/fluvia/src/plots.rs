@@ -59,10 +59,13 @@ pub fn svg(panels: &[Panel<'_>], columns: usize) -> Result<String, String> {
 type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
 
 fn draw(panel: &Panel<'_>, area: &Area<'_>) -> Result<(), Box<dyn std::error::Error>> {
-    // A logarithmic panel has the exponents of ten.
-    let height = |value: f64| match panel.scale {
-        Scale::Linear => Some(value),
-        Scale::Logarithmic => (value > 0.0).then(|| value.log10()),
+    // What is not finite is a gap: no axis reaches there. A logarithmic panel has the exponents of ten.
+    let height = |value: f64| {
+        let height = match panel.scale {
+            Scale::Linear => value,
+            Scale::Logarithmic => value.log10(),
+        };
+        height.is_finite().then_some(height)
     };
     let curves: Vec<Vec<(f64, Option<f64>)>> = panel
         .curves
@@ -146,6 +149,17 @@ mod tests {
     fn labels_are_short() {
         let texts = [0.0, 0.5, 1.2345678, -0.0002, 12.0, 50_000.0, 1234.56].map(short);
         assert_eq!(texts, ["0", "0.5", "1.235", "-0.0002", "12", "50000", "1235"]);
+    }
+
+    #[test]
+    fn values_that_no_axis_has_are_gaps() {
+        let curve = vec![Some(1.0), Some(f64::INFINITY), None, Some(f64::NAN), Some(-2.0), Some(0.0)];
+        for scale in [Scale::Linear, Scale::Logarithmic] {
+            let at: Vec<f64> = (0..6).map(f64::from).collect();
+            let curves = vec![("a", at, curve.clone()), ("none", Vec::new(), Vec::new())];
+            let panel = Panel { title: "gaps", across: "x", scale, curves };
+            assert!(svg(&[panel], 1).unwrap().contains("gaps"));
+        }
     }
 
     #[test]

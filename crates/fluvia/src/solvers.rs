@@ -77,14 +77,26 @@ impl Choice {
     /// # Errors
     /// One line that names `path` and the value.
     pub fn check(&self, path: &Path, setup: &Setup) -> Result<()> {
-        let Choice::Network(weights, _) = self else { return Ok(()) };
-        let config = &weights.config;
-        check(path, "dt", Some(setup.dt), config.dt, "s")?;
-        check(path, "particle_radius", Some(setup.particle_radius), config.particle_radius, "m")?;
-        for emitter in &setup.emitters {
-            check_material(path, "", emitter.material, config)?;
+        let materials = setup.emitters.iter().map(|emitter| emitter.material);
+        match self {
+            Choice::Network(weights, _) => {
+                let config = &weights.config;
+                check(path, "dt", Some(setup.dt), config.dt, "s")?;
+                check(path, "particle_radius", Some(setup.particle_radius), config.particle_radius, "m")?;
+                materials.into_iter().try_for_each(|material| check_material(path, "", material, config))
+            }
+            Choice::Dfsph(_) => materials
+                .filter_map(|material| material.viscosity)
+                .try_for_each(|value| check_dfsph_viscosity(path, "", value)),
+            // It has no viscosity: that of water is as good as none.
+            Choice::Pbf(_) => {
+                let water = Liquid::default().viscosity;
+                match materials.filter_map(|material| material.viscosity).find(|value| *value > water) {
+                    Some(value) => bail!("{}: viscosity {value}, {NOT_PBF}", path.display()),
+                    None => Ok(()),
+                }
+            }
         }
-        Ok(())
     }
 
     /// What will surprise though the solver takes the scene.
@@ -221,23 +233,32 @@ fn check_dfsph(scene: &Scene) -> Result<()> {
     let materials =
         scene.fluids.iter().enumerate().map(|(i, fluid)| (format!("fluids[{i}]."), fluid.material));
     for (prefix, material) in std::iter::once((String::new(), scene.material)).chain(materials) {
-        if let Some(value) = material.viscosity.filter(|value| !(0.0..=1.0).contains(value)) {
-            bail!("{path}: `{prefix}viscosity`: {value}, but the solver dfsph takes 0 to 1");
+        if let Some(value) = material.viscosity {
+            check_dfsph_viscosity(&scene.path, &prefix, value)?;
         }
     }
     Ok(())
 }
 
+fn check_dfsph_viscosity(path: &Path, prefix: &str, value: f32) -> Result<()> {
+    if !(0.0..=1.0).contains(&value) {
+        bail!("{}: `{prefix}viscosity`: {value}, but the solver dfsph takes 0 to 1", path.display());
+    }
+    Ok(())
+}
+
+/// Why PBF takes no viscosity.
+const NOT_PBF: &str = "but the solver pbf cannot honour that key: it has a smoothing of its own";
+
 fn check_pbf(scene: &Scene) -> Result<()> {
     let path = scene.path.display();
-    let honours = "but the solver pbf cannot honour that key: it has a smoothing of its own";
     if let Some(value) = scene.material.viscosity {
-        bail!("{path}: `viscosity`: {value}, {honours}");
+        bail!("{path}: `viscosity`: {value}, {NOT_PBF}");
     }
     let mut density = None;
     for (i, fluid) in scene.fluids.iter().enumerate() {
         if let Some(value) = fluid.material.viscosity {
-            bail!("{path}: `fluids[{i}].viscosity`: {value}, {honours}");
+            bail!("{path}: `fluids[{i}].viscosity`: {value}, {NOT_PBF}");
         }
         let own = fluid.material.density.or(scene.material.density);
         // One density for all moves as any other does: pressure and weight both grow with it.
@@ -259,7 +280,11 @@ fn named(density: Option<f32>) -> String {
     density.map_or("none given".into(), |density| format!("{density} kg/m³"))
 }
 
-fn check_network(scene: &Scene, config: &Config) -> Result<()> {
+/// Checks the keys of a scene against what a network was made for.
+///
+/// # Errors
+/// One line that names the scene file, the key and the value that would be honoured.
+pub fn check_network(scene: &Scene, config: &Config) -> Result<()> {
     let path = &scene.path;
     check(path, "dt", scene.dt, config.dt, "s")?;
     check(path, "particle_radius", scene.particle_radius, config.particle_radius, "m")?;
@@ -278,15 +303,12 @@ fn check_material(path: &Path, prefix: &str, material: Material, config: &Config
     check(path, &format!("{prefix}density"), material.density, config.density, "kg/m³")
 }
 
-/// A value that the scene gives must be the one that the weights were made for.
+/// A value that the scene gives must be the one that the network is made for.
 fn check(path: &Path, key: &str, given: Option<f32>, made_for: f32, unit: &str) -> Result<()> {
     match given {
         Some(value) if value != made_for => {
             let unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
-            bail!(
-                "{}: `{key}`: {value}{unit}, but the weights were made for {made_for}{unit}",
-                path.display()
-            )
+            bail!("{}: `{key}`: {value}{unit}, but the network is made for {made_for}{unit}", path.display())
         }
         _ => Ok(()),
     }

@@ -22,15 +22,18 @@ use cconv::Kernel;
 use fluvia_net::checkpoint::{Checkpoint, Place};
 use fluvia_net::dataset::{Damaged, DataSet, Loaded, Loader};
 use fluvia_net::train::{Progress, Trainer, Validation};
-use fluvia_net::weights::{Weights, save_safetensors};
+use fluvia_net::weights::{Tensor, Weights, save_safetensors};
 use fluvia_sim::frames;
+use fluvia_sim::scene::{DEFAULT_DT, DEFAULT_GRAVITY, DEFAULT_PARTICLE_RADIUS};
 use indicatif::ProgressBar;
 use serde_json::{Value, json};
 
+use crate::frame_source::recorded_beside;
 use crate::interrupt;
 use crate::options::{thread_pool, threads};
 use crate::record::{decimal, first_difference};
 use crate::report::Report;
+use crate::solvers::check_network;
 use config::{Config, Data};
 use log::{Line, Log};
 
@@ -59,7 +62,7 @@ pub struct Args {
     /// The directory to write to.
     #[arg(long, value_name = "RUN")]
     out: PathBuf,
-    /// Updates of the weights; those of the settings if not given.
+    /// Updates of the weights; those of the settings if not given. Schedules shrink with them.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     updates: Option<u64>,
     /// The seed; that of the settings if not given.
@@ -72,7 +75,7 @@ pub struct Args {
     /// Updates from one checkpoint to the next.
     #[arg(long, value_name = "K", default_value_t = 100, value_parser = clap::value_parser!(u64).range(1..))]
     checkpoint: u64,
-    /// Leave out parts that cannot be read, with a warning.
+    /// Leave out parts of training sequences that cannot be read, with a warning; their first frame must be there.
     #[arg(long)]
     skip_damaged: bool,
     /// Go on where an earlier run stopped.
@@ -111,7 +114,7 @@ pub struct Trained {
 
 pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
     let mut config = Config::load(&args.config)?;
-    config.training.updates = args.updates.unwrap_or(config.training.updates);
+    config.set_updates(args.updates.unwrap_or(config.training.updates));
     config.training.seed = args.seed.unwrap_or(config.training.seed);
     if !args.data.is_empty() {
         config.data = Data::of(&args.data);
@@ -129,6 +132,7 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
     let trained = thread_pool(args.threads)?.install(|| train(&plan, &interrupted, report))?;
     let Some(Trained { place: Place { updates, particle_samples, best, seconds, .. }, weights }) = trained
     else {
+        report.note("--resume goes on");
         return Ok(interrupt::exit_code());
     };
     if args.json {
@@ -157,11 +161,26 @@ fn given_weights(path: &Path, config: &Config) -> Result<Weights> {
     if let ([], [name]) = (given.config.extra_inputs.as_slice(), expected.config.extra_inputs.as_slice()) {
         given = given.with_extra_input(name);
     }
-    let shapes = |weights: &Weights| -> Vec<Vec<usize>> {
-        weights.tensors().into_iter().map(|tensor| tensor.shape).collect()
+    let path = path.display();
+    let (found, wanted) = (given.tensors(), expected.tensors());
+    let differs = |(found, wanted): &(&Tensor<'_>, &Tensor<'_>)| {
+        (&found.name, &found.shape) != (&wanted.name, &wanted.shape)
     };
-    if shapes(&given) != shapes(&expected) || given.config != expected.config {
-        bail!("{}: weights of another network than that of the settings", path.display());
+    if let Some((found, wanted)) = found.iter().zip(&wanted).find(differs) {
+        bail!(
+            "{path}: weights of another network than that of the settings: tensor {} {:?}, expected {} {:?}",
+            found.name,
+            found.shape,
+            wanted.name,
+            wanted.shape
+        );
+    }
+    if found.len() != wanted.len() || given.config != expected.config {
+        bail!(
+            "{path}: weights of another network than that of the settings: {:?}, expected {:?}",
+            given.config,
+            expected.config
+        );
     }
     Ok(given)
 }
@@ -201,11 +220,13 @@ impl<'a> Run<'a> {
             bail!("no data: expected --data, or `data.train` in the settings");
         }
         let data = DataSet::open(&config.data.train)?;
+        check_data(&data, config)?;
         let validation = if config.data.valid.is_empty() {
             report.warning("no validation data: the last weights count as the best");
             None
         } else {
             let data = DataSet::open(&config.data.valid)?;
+            check_data(&data, config)?;
             Some(Validation::read(&data, &sampling, config.validation.windows)?)
         };
         let settings = settings(plan, &data);
@@ -214,7 +235,16 @@ impl<'a> Run<'a> {
         let (trainer, place) = if plan.resume && path.exists() {
             let Checkpoint { place, weights: values, adam, averages } =
                 Checkpoint::load(&path, &weights, options.adam)?;
-            let old: Value = serde_json::from_str(&place.settings)?;
+            let mut old: Value = serde_json::from_str(&place.settings)?;
+            // What settings did not have yet is as it is without them.
+            complete(&mut old, &serde_json::to_value(Config::default())?);
+            let kernel = std::mem::replace(&mut old["kernel"], settings["kernel"].clone());
+            if kernel != settings["kernel"] {
+                report.warning(format_args!(
+                    "begun with the kernel {kernel}, going on with {}: other bits than without the change",
+                    settings["kernel"]
+                ));
+            }
             if let Some((key, old, new)) = first_difference("", &old, &settings) {
                 bail!("{}: not the same training, its {key}: {old}, now: {new}", path.display());
             }
@@ -228,6 +258,7 @@ impl<'a> Run<'a> {
                 bail!("{}: holds a training; expected --resume or --overwrite", plan.out.display());
             }
             std::fs::create_dir_all(&plan.out).with_context(|| plan.out.display().to_string())?;
+            remove_run(&plan.out)?;
             frames::write_json(&plan.out.join(SETTINGS), &settings)?;
             let place = Place { settings: settings.to_string(), ..Place::default() };
             (Trainer::new(options, weights, Kernel::detect())?, place)
@@ -250,7 +281,7 @@ impl<'a> Run<'a> {
             }
             let begin = Instant::now();
             let Progress { loss, gradient, rate } = self.trainer.step(&batch)?;
-            let particles = (batch.start.position.len() * batch.truth.len()) as u64;
+            let particles = batch.samples();
             let particles_per_s = particles as f64 / begin.elapsed().as_secs_f64().max(1e-9);
             self.place.updates += 1;
             self.place.position = next;
@@ -278,7 +309,7 @@ impl<'a> Run<'a> {
             }
             if stop && !last {
                 self.bar.finish_and_clear();
-                self.report.note(format_args!("stopped after update {updates}; --resume goes on"));
+                self.report.note(format_args!("stopped after update {updates}"));
                 return Ok(None);
             }
         }
@@ -323,11 +354,43 @@ impl<'a> Run<'a> {
 
     fn save(&mut self) -> Result<()> {
         self.place.seconds = self.seconds();
-        save_safetensors(self.plan.out.join(WEIGHTS), &self.result())?;
+        let result = self.result();
+        save_safetensors(self.plan.out.join(WEIGHTS), &result)?;
+        if self.validation.is_none() {
+            save_safetensors(self.plan.out.join(BEST), &result)?;
+        }
         let checkpoint = self.trainer.checkpoint(self.place.clone());
         checkpoint.save(&self.plan.out.join(CHECKPOINT), self.trainer.weights())?;
         Ok(())
     }
+}
+
+/// Makes sure that the settings are those of the data, as far as these say what they are.
+///
+/// # Errors
+/// One line that names the sequence, the key, its value and what the settings have.
+fn check_data(data: &DataSet, config: &Config) -> Result<()> {
+    let weights = config.first_weights().config;
+    let mut checked = None;
+    for part in data.parts() {
+        if checked.replace((part.path.parent(), &part.sequence)) == Some((part.path.parent(), &part.sequence))
+        {
+            continue;
+        }
+        let Some(mut scene) = recorded_beside(&part.path, &part.sequence)? else { continue };
+        scene.dt.get_or_insert(DEFAULT_DT);
+        scene.particle_radius.get_or_insert(DEFAULT_PARTICLE_RADIUS);
+        check_network(&scene, &weights)?;
+        let gravity = scene.gravity.unwrap_or(DEFAULT_GRAVITY);
+        if gravity != weights.gravity {
+            let path = scene.path.display();
+            bail!(
+                "{path}: `gravity`: {gravity:?} m/s², but the network is made for {:?} m/s²",
+                weights.gravity
+            );
+        }
+    }
+    Ok(())
 }
 
 /// What the bits of a training depend on.
@@ -336,8 +399,35 @@ fn settings(plan: &Plan, data: &DataSet) -> Value {
     value["data"]["parts"] = json!(data.parts().len());
     value["data"]["frames"] = json!(data.parts().iter().map(|part| part.frames).sum::<usize>());
     value["first_weights"] = json!(plan.weights);
+    value["kernel"] = json!(Kernel::detect().name());
     value["version"] = json!(env!("CARGO_PKG_VERSION"));
     value
+}
+
+/// Adds the entries that `value` does not have, at every depth.
+fn complete(value: &mut Value, defaults: &Value) {
+    let (Value::Object(entries), Value::Object(defaults)) = (value, defaults) else { return };
+    for (key, default) in defaults {
+        match entries.get_mut(key) {
+            Some(own) => complete(own, default),
+            None => {
+                entries.insert(key.clone(), default.clone());
+            }
+        }
+    }
+}
+
+/// Removes what an earlier training has left: a new one that is killed before its first checkpoint must not go on with it.
+fn remove_run(out: &Path) -> Result<()> {
+    for name in [CHECKPOINT, WEIGHTS, BEST, log::FILE] {
+        match std::fs::remove_file(out.join(name)) {
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+                return Err(error).with_context(|| out.join(name).display().to_string());
+            }
+            _ => {}
+        }
+    }
+    Ok(())
 }
 
 /// How much of the shown loss stays from one update to the next.

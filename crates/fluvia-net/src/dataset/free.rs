@@ -18,12 +18,15 @@ pub struct FreeFall {
     pub dt: f32,
 }
 
-/// From one to the next, metres: beyond any filter radius.
-const SPACING: f32 = 1.0;
+/// The least distance between two, metres: beyond any filter radius.
+const APART: f32 = 1.0;
 
 /// The standard deviation of each component of velocities, metres per second: most are slower than 6 m/s, as what has fallen
 /// 2 m.
 const SPEED: f32 = 3.0;
+
+/// How fast two of them may approach each other, in these deviations.
+const FAST: f32 = 5.0;
 
 impl Batch {
     /// Adds the cloud, without walls. Extra inputs are those of the first particles of the batch.
@@ -35,8 +38,12 @@ impl Batch {
         let extras = self.extra.len() / self.start.position.len().max(1);
         let extra: Vec<f32> = self.extra.iter().copied().cycle().take(count * extras).collect();
         self.extra.extend(extra);
+        // A lattice around the origin, where float32 resolves well.
+        let spacing = APART + FAST * SPEED * dt * self.truth.len() as f32;
+        let side = (count as f64).cbrt().ceil() as usize;
+        let place = |k: usize| spacing * (k as f32 - (side - 1) as f32 / 2.0);
         for k in 0..count {
-            let mut x: Point = [SPACING * k as f32, 0.0, 0.0];
+            let mut x: Point = [place(k % side), place(k / side % side), place(k / side / side)];
             let mut v: Point = std::array::from_fn(|_| SPEED * normal(random));
             self.start.position.push(x);
             self.start.velocity.push(v);
@@ -50,6 +57,7 @@ impl Batch {
         }
         self.clouds.push(self.start.position.len());
         self.wall_clouds.push(self.wall_position.len());
+        self.free += count;
     }
 }
 

@@ -6,14 +6,11 @@ use serde::Serialize;
 use super::{Outcome, Sequence};
 use crate::curves::{Curve, Curves};
 
-/// Figures of the end are of this part of the frames, the last.
-const END: f64 = 0.2;
-
 /// The frame, counted from the first, at which heights are compared: bodies of the published data have fallen there.
 const FALLEN: usize = 20;
 
 /// What is reported; `None` where a number that it is made of is not finite or there is none. On several sequences means
-/// are over all starts or frames, numbers of frames and particles are sums, and the rest is of the worst.
+/// are over all starts or frames, `non_finite_frames`, `outside` and `worst_outside` are sums, and the rest is of the worst.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Figures {
     /// The mean position error one and two frames after a start from a true frame.
@@ -45,12 +42,12 @@ pub struct Figures {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct StateFigures {
     /// Particles outside the walls, in the last frame and in the worst.
-    pub outside: usize,
-    pub worst_outside: usize,
+    pub outside: Option<usize>,
+    pub worst_outside: Option<usize>,
     /// Density over rest density, of the fluid alone.
     pub highest_density: Option<f64>,
     /// Particles above 1.05 of rest density: in the worst frame, and the mean over the last fifth.
-    pub worst_dense_particles: usize,
+    pub worst_dense_particles: Option<usize>,
     pub dense_particles_last_fifth: Option<f64>,
     /// The mean of |v| over the last fifth.
     pub speed_last_fifth_m_per_s: Option<f64>,
@@ -59,24 +56,24 @@ pub struct StateFigures {
 impl StateFigures {
     /// Of these curves together, each with the number of frames that it should have.
     pub fn of(runs: &[(&Curves, usize)]) -> StateFigures {
+        // A rollout that broke off has neither a worst frame nor a mean.
+        let is_whole = runs.iter().all(|(run, count)| run.particles.len() == *count);
         let worst = |counts: &dyn Fn(&Curves) -> &[usize]| -> Vec<usize> {
-            let of_run = |(run, _): &(&Curves, usize)| counts(run).iter().copied().max().unwrap_or_default();
-            runs.iter().map(of_run).collect()
+            runs.iter().map(|(run, _)| counts(run).iter().copied().max().unwrap_or_default()).collect()
         };
-        // A rollout that broke off has no mean.
         let end = |value: &dyn Fn(&Curves, usize) -> Option<f64>| {
             let of_run = |&(run, count): &(&Curves, usize)| {
-                let start = ((1.0 - END) * count as f64).floor() as usize;
-                (start..count).map(|k| value(run, k)).collect::<Vec<_>>()
+                (0..count).filter(|&k| is_late(k, count)).map(|k| value(run, k)).collect::<Vec<_>>()
             };
             mean(runs.iter().flat_map(of_run))
         };
         let densities = runs.iter().flat_map(|(run, _)| run.highest_density.iter().flatten().copied());
         StateFigures {
-            outside: runs.iter().filter_map(|(run, _)| run.outside.last()).sum(),
-            worst_outside: worst(&|run| &run.outside).into_iter().sum(),
-            highest_density: densities.reduce(f64::max),
-            worst_dense_particles: worst(&|run| &run.dense_particles).into_iter().max().unwrap_or_default(),
+            outside: is_whole.then(|| runs.iter().filter_map(|(run, _)| run.outside.last()).sum()),
+            worst_outside: is_whole.then(|| worst(&|run| &run.outside).into_iter().sum()),
+            highest_density: densities.reduce(f64::max).filter(|_| is_whole),
+            worst_dense_particles: is_whole
+                .then(|| worst(&|run| &run.dense_particles).into_iter().max().unwrap_or_default()),
             dense_particles_last_fifth: end(&|run, k| run.dense_particles.get(k).map(|&n| n as f64)),
             speed_last_fifth_m_per_s: end(&|run, k| run.mean_speed_m_per_s.get(k).copied().flatten()),
         }
@@ -87,8 +84,7 @@ impl Figures {
     /// Of these sequences together.
     pub(super) fn of(parts: &[(&Sequence, &Outcome)]) -> Figures {
         let late = |sequence: &Sequence, frame: u64| {
-            let count = sequence.truth.particles.len() as u64;
-            5 * (frame - sequence.first) >= 4 * count
+            is_late((frame - sequence.first) as usize, sequence.truth.particles.len())
         };
         let error = |k: usize, only_late: bool| {
             let starts = parts.iter().flat_map(|(sequence, outcome)| {
@@ -139,6 +135,11 @@ impl Figures {
             state: StateFigures::of(&curves),
         }
     }
+}
+
+/// Whether frame `k` of `count` is one of the last fifth.
+fn is_late(k: usize, count: usize) -> bool {
+    5 * k >= 4 * count
 }
 
 fn millimetres(metres: f64) -> f64 {

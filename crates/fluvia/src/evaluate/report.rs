@@ -92,13 +92,18 @@ fn picture(results: &Results, k: usize) -> Result<String, String> {
     let outcomes = || results.evaluations.iter().map(move |one| (one.label.as_str(), &one.outcomes[k]));
     let scaled = |value: Option<f64>| value.map(|value| 1e3 * value);
     let panel = |title, curves| Panel { title, across: "time, s", scale: Scale::Linear, curves };
+    // The truth has the first colour in all panels.
+    let of_solvers = |mut curves: Vec<_>| {
+        curves.insert(0, ("truth", Vec::new(), Vec::new()));
+        curves
+    };
     let error = |title, n: usize| {
         let curves = outcomes().map(|(label, one)| {
             let (at, curve) =
                 one.starts.iter().map(|start| (at(start.frame), scaled(start.errors[n]))).unzip();
             (label, at, curve)
         });
-        panel(title, curves.collect())
+        panel(title, of_solvers(curves.collect()))
     };
     let distance = outcomes().map(|(label, one)| {
         let compared = one.rolled.compared.iter();
@@ -112,7 +117,7 @@ fn picture(results: &Results, k: usize) -> Result<String, String> {
     };
     let dense = |run: &Curves| run.dense_particles.iter().map(|&count| Some(count as f64)).collect();
     let panels = [
-        panel("distance d of Eq. 18, mm", distance.collect()),
+        panel("distance d of Eq. 18, mm", of_solvers(distance.collect())),
         error("error one frame after a start, mm", 0),
         error("error two frames after a start, mm", 1),
         all("height of the centre of mass, m", &Curves::height),
@@ -134,9 +139,9 @@ pub fn markdown(results: &Results) -> String {
         .map(|one| Figures::of(&results.sequences.iter().zip(&one.outcomes).collect::<Vec<_>>()))
         .collect();
     let frames: usize = results.sequences.iter().map(|sequence| sequence.truth.particles.len()).sum();
-    let count = results.sequences.len();
-    let noun = if count == 1 { "sequence" } else { "sequences" };
-    let mut lines = vec![format!("{count} {noun}, {frames} frames"), String::new()];
+    let sequences = results.sequences.len();
+    let noun = if sequences == 1 { "sequence" } else { "sequences" };
+    let mut lines = vec![format!("{sequences} {noun}, {frames} frames"), String::new()];
     lines.push(format!("| figure | truth |{}", labels()));
     lines.push(rule() + " --- |");
     type Row<F> = (&'static str, fn(&F) -> String);
@@ -160,10 +165,10 @@ pub fn markdown(results: &Results) -> String {
         lines.push(format!("| {name} | |{cells}"));
     }
     let rows: [Row<StateFigures>; 6] = [
-        ("particles outside, last frame", |f| f.outside.to_string()),
-        ("particles outside, worst frame", |f| f.worst_outside.to_string()),
+        ("particles outside, last frame", |f| count(f.outside)),
+        ("particles outside, worst frame", |f| count(f.worst_outside)),
         ("highest density over rest density", |f| number(f.highest_density)),
-        ("particles above 1.05, worst frame", |f| f.worst_dense_particles.to_string()),
+        ("particles above 1.05, worst frame", |f| count(f.worst_dense_particles)),
         ("particles above 1.05, last fifth", |f| number(f.dense_particles_last_fifth)),
         ("mean speed, last fifth, m/s", |f| number(f.speed_last_fifth_m_per_s)),
     ];
@@ -176,7 +181,7 @@ pub fn markdown(results: &Results) -> String {
             .collect();
         lines.push(format!("| {name} |{cells}"));
     }
-    let lone = evaluations.iter().map(|one| format!(" {:.3} |", length(one.lone_acceleration)));
+    let lone = evaluations.iter().map(|one| format!(" {} |", number(one.lone_acceleration.map(length))));
     lines.push(format!("| acceleration of a particle alone, m/s² | |{}", lone.collect::<String>()));
     lines.push(String::new());
     lines.push(format!("| n+1, n+2, whole sequence, mm |{}", labels()));
@@ -194,6 +199,10 @@ pub fn markdown(results: &Results) -> String {
 /// A number with four digits, or that there is none.
 fn number(value: Option<f64>) -> String {
     value.map_or("none".into(), plots::short)
+}
+
+fn count(value: Option<usize>) -> String {
+    value.map_or("none".into(), |count| count.to_string())
 }
 
 fn length(v: [f64; 3]) -> f64 {

@@ -62,12 +62,16 @@ impl Recorded {
         if last - first + 1 != numbers.len() as u64 {
             bail!("{}: frames are missing between {first} and {last}", path.display());
         }
-        let data = source.read(first)?;
+        let (data, radius) = (source.read(first)?, source.particle_radius);
         let (body, materials) = match source.frame_of_sequence(first)? {
             Some(frame) => {
-                let materials =
-                    frame.viscosity.iter().map(|&v| Material { viscosity: Some(v), density: None });
-                bodies(materials)
+                let kilogram = sequence::stored_mass(1.0, radius);
+                let of_particle = |(&viscosity, &mass): (&f32, &f32)| {
+                    // Masses are float32: whole kilograms per cubic metre are what they can tell.
+                    let density = (mass / kilogram).round();
+                    Material { viscosity: Some(viscosity), density: Some(density) }
+                };
+                bodies(frame.viscosity.iter().zip(&frame.mass).map(of_particle))
             }
             None => {
                 let body = data.body.clone().unwrap_or_else(|| vec![0; data.position.len()]);
@@ -78,7 +82,8 @@ impl Recorded {
         let walls = source.walls().clone();
         let boundary = Boundary { normal: walls.normal.unwrap_or_default(), position: walls.position };
         boundary.check().map_err(|error| anyhow::anyhow!("{}: {error}", path.display()))?;
-        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let whole = path.canonicalize().unwrap_or_else(|_| path.to_path_buf());
+        let name = whole.file_name().map_or("frames".into(), |name| name.to_string_lossy().into_owned());
         let setup = Setup {
             boundary,
             walls: Vec::new(),
@@ -119,7 +124,10 @@ impl Recorded {
         let ParticleData { position, velocity, id, .. } = data;
         let wrong =
             |message: String| Err(fluvia_sim::Error::file(self.path(), format!("frame {number}: {message}")));
-        if position.len() != self.body.len() || id != self.id {
+        if position.len() == self.body.len() && id != self.id {
+            return wrong("other particles than in the first frame, by their ids".into());
+        }
+        if position.len() != self.body.len() {
             let (found, expected) = (position.len(), self.body.len());
             return wrong(format!(
                 "{found} particles, expected the {expected} of the first frame: what an emitter gives cannot be followed"
@@ -167,10 +175,8 @@ fn recorded_materials(source: &FrameSource, count: usize, report: &Report) -> Ve
     });
     let mut materials = scene.map_or_else(
         || {
-            report.warning(format_args!(
-                "{}: its scene is not there any more: its fluids count as water",
-                source.path().display()
-            ));
+            let path = source.path().display();
+            report.warning(format_args!("{path}: its scene is not known: its fluids count as water"));
             Vec::new()
         },
         |scene| scene.materials(),

@@ -174,18 +174,23 @@ impl Default for Training {
 }
 
 /// The rate of learning.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, tag = "kind", rename_all = "lowercase")]
 pub enum Rate {
     /// That of the paper: 1e-3, halved at 20,000, 25,000, ... 45,000 of 50,000 updates, of others in proportion.
-    Paper,
+    Paper {},
     /// That of the published scripts, which halve first at 25,000.
-    #[default]
-    Published,
+    Published {},
     /// Multiplied by a factor at some updates.
     Steps { highest: f32, factor: f32, at: Vec<u64> },
     /// Rises linearly for some updates, falls to zero along half a cosine.
     Cosine { highest: f32, warmup: u64 },
+}
+
+impl Default for Rate {
+    fn default() -> Rate {
+        Rate::Published {}
+    }
 }
 
 /// Adam.
@@ -280,6 +285,18 @@ impl Config {
         Ok(config)
     }
 
+    /// Changes the number of updates, and the schedule in proportion.
+    pub fn set_updates(&mut self, updates: u64) {
+        let old = std::mem::replace(&mut self.training.updates, updates);
+        let scaled = |at: u64| (u128::from(at) * u128::from(updates) / u128::from(old.max(1))) as u64;
+        match &mut self.rate {
+            Rate::Steps { at, .. } => at.iter_mut().for_each(|at| *at = scaled(*at)),
+            Rate::Cosine { warmup, .. } => *warmup = scaled(*warmup),
+            // Theirs are parts of all updates.
+            Rate::Paper {} | Rate::Published {} => {}
+        }
+    }
+
     /// Makes sure that every value can be what it is.
     ///
     /// # Errors
@@ -308,8 +325,14 @@ impl Config {
             Rate::Steps { highest, factor, .. } => {
                 positive.extend([("rate.highest", highest), ("rate.factor", factor)]);
             }
-            Rate::Cosine { highest, .. } => positive.push(("rate.highest", highest)),
-            Rate::Paper | Rate::Published => {}
+            Rate::Cosine { highest, warmup } => {
+                positive.push(("rate.highest", highest));
+                if warmup >= training.updates {
+                    let updates = training.updates;
+                    bail!("`rate.warmup`: {warmup}, expected below the {updates} updates");
+                }
+            }
+            Rate::Paper {} | Rate::Published {} => {}
         }
         if let Some((key, value)) = positive.iter().find(|(_, value)| !(value.is_finite() && *value > 0.0)) {
             bail!("`{key}`: {value}, expected a number above 0");
@@ -370,8 +393,8 @@ impl Config {
                 velocity: loss.velocity,
             },
             schedule: match &self.rate {
-                Rate::Paper => Schedule::paper(training.updates),
-                Rate::Published => Schedule::published(training.updates),
+                Rate::Paper {} => Schedule::paper(training.updates),
+                Rate::Published {} => Schedule::published(training.updates),
                 Rate::Steps { highest, factor, at } => {
                     Schedule::Steps { rate: *highest, factor: *factor, at: at.clone() }
                 }
@@ -442,6 +465,25 @@ mod tests {
     }
 
     #[test]
+    fn schedules_shrink_with_the_updates() {
+        for rate in [
+            Rate::Paper {},
+            Rate::Steps { highest: 0.1, factor: 0.5, at: vec![20_000, 40_000] },
+            Rate::Cosine { highest: 0.1, warmup: 10_000 },
+        ] {
+            let whole = Config { rate, ..Config::default() };
+            let mut tenth = whole.clone();
+            tenth.set_updates(5_000);
+            tenth.check().unwrap();
+            for update in [0u64, 500, 1_000, 2_500, 3_999, 4_999] {
+                let (a, b) =
+                    (tenth.options().schedule.rate(update), whole.options().schedule.rate(10 * update));
+                assert!((a - b).abs() < 2e-4 * (1.0 + b), "{:?} {update}: {a} and {b}", whole.rate);
+            }
+        }
+    }
+
+    #[test]
     fn faults_name_the_key() {
         for (text, words) in [
             ("[training]\nupdate = 5", vec!["line 2", "`update`", "`updates`"]),
@@ -450,6 +492,11 @@ mod tests {
             ("[loss]\nexponent = nan", vec!["`loss.exponent`"]),
             ("[optimizer]\nbeta2 = 1.0", vec!["`optimizer.beta2`", "below 1"]),
             ("[rate]\nkind = \"linear\"", vec!["linear", "cosine"]),
+            ("[rate]\nkind = \"paper\"\nhighest = 5e-3", vec!["`highest`"]),
+            (
+                "[training]\nupdates = 9\n[rate]\nkind = \"cosine\"\nhighest = 1.0\nwarmup = 9",
+                vec!["`rate.warmup`", "below"],
+            ),
             ("[loss]\nvelocity = true", vec!["`loss.velocity`", "paper"]),
             ("[training]\nposition_noise = -1.0", vec!["`training.position_noise`", "at least 0"]),
             ("[network]\nwindow = \"cubic\"", vec!["line 2", "cubic", "triangular"]),

@@ -149,6 +149,36 @@ fn what_is_refused() {
 }
 
 #[test]
+fn an_overwritten_training_is_gone() {
+    let folder = folder();
+    folder.succeed("train config.toml --data data --out run --updates 8");
+    folder.write(
+        "wild.toml",
+        CONFIG.replace("highest = 0.01", "highest = 1e30").replace("updates = 24", "updates = 8"),
+    );
+    // It ends before its first checkpoint.
+    let run = folder.run("train wild.toml --data data --out run --overwrite");
+    assert_eq!(run.code, Some(1), "{}", run.stderr);
+    assert!(
+        !folder.path("run/checkpoint.safetensors").exists() && !folder.path("run/best.safetensors").exists()
+    );
+}
+
+#[test]
+fn settings_must_be_those_of_the_data() {
+    let folder = folder();
+    folder.fail(
+        "train dam-break --data data --updates 1 --out new",
+        &["data/train/sim_0001.json", "`dt`", "0.02 s"],
+    );
+    folder.write("light.toml", CONFIG.replace("[network]", "[network]\ngravity = [0, -1.6, 0]"));
+    folder.fail("train light.toml --data data --out new", &["sim_0001.json", "`gravity`", "-9.81", "-1.6"]);
+    folder.write("slow.toml", CONFIG.replace("[network]", "[network]\ndt = 0.01"));
+    folder.fail("train slow.toml --data data --out new", &["sim_0001.json", "`dt`", "0.02 s", "0.01 s"]);
+    assert!(!folder.path("new").exists());
+}
+
+#[test]
 fn weights_to_begin_with() {
     let folder = folder();
     folder.succeed("train config.toml --data data --out plain --updates 3");
@@ -189,6 +219,15 @@ fn variants_side_by_side() {
     assert!(numbers(&folder, "table/bare/seed_1/weights.safetensors") == before);
     folder.fail("ablate base.toml base.toml --data data --out twice", &["base", "two variants"]);
     folder.fail("ablate unknown --data data --out unknown", &["unknown", "without-window"]);
+    // Other weights, other figures.
+    folder.succeed("train base.toml --data data --updates 5 --out table/base/seed_0 --overwrite");
+    folder.succeed("ablate base.toml --data data --updates 5 --seeds 1 --out table");
+    assert!(folder.json("table/ablation.json")[0]["figures"][0]["err_n1_mm"] != error(0, 0));
+    // What cannot be evaluated is not trained.
+    std::fs::remove_dir_all(folder.path("data/valid")).unwrap();
+    std::fs::create_dir(folder.path("data/valid")).unwrap();
+    folder.fail("ablate base.toml --data data --updates 5 --seeds 1 --out other", &["data"]);
+    assert!(!folder.path("other").exists());
 }
 
 /// On a disk that fills up between two checkpoints the first stays, and a training goes on from it.
