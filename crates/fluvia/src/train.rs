@@ -8,9 +8,11 @@
 //! RUN/metrics.jsonl            what was found on the way; also as TensorBoard's events
 //! ```
 
+mod begin;
 pub mod config;
 mod events;
 pub mod log;
+mod shipped;
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -22,18 +24,16 @@ use cconv::Kernel;
 use fluvia_net::checkpoint::{Checkpoint, Place};
 use fluvia_net::dataset::{Damaged, DataSet, Loaded, Loader};
 use fluvia_net::train::{Progress, Trainer, Validation};
-use fluvia_net::weights::{Tensor, Weights, save_safetensors};
+use fluvia_net::weights::{Weights, save_safetensors};
 use fluvia_sim::frames;
-use fluvia_sim::scene::{DEFAULT_DT, DEFAULT_GRAVITY, DEFAULT_PARTICLE_RADIUS};
 use indicatif::ProgressBar;
 use serde_json::{Value, json};
 
-use crate::frame_source::recorded_beside;
 use crate::interrupt;
 use crate::options::{thread_pool, threads};
 use crate::record::{decimal, first_difference};
 use crate::report::Report;
-use crate::solvers::check_network;
+use begin::{check_data, complete, given_weights, settings};
 use config::{Config, Data};
 use log::{Line, Log};
 
@@ -152,37 +152,6 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
         }
     }
     Ok(ExitCode::SUCCESS)
-}
-
-/// Weights to begin with, which must be of the network of the settings.
-fn given_weights(path: &Path, config: &Config) -> Result<Weights> {
-    let mut given = fluvia_net::weights::load(path)?;
-    let expected = config.first_weights();
-    if let ([], [name]) = (given.config.extra_inputs.as_slice(), expected.config.extra_inputs.as_slice()) {
-        given = given.with_extra_input(name);
-    }
-    let path = path.display();
-    let (found, wanted) = (given.tensors(), expected.tensors());
-    let differs = |(found, wanted): &(&Tensor<'_>, &Tensor<'_>)| {
-        (&found.name, &found.shape) != (&wanted.name, &wanted.shape)
-    };
-    if let Some((found, wanted)) = found.iter().zip(&wanted).find(differs) {
-        bail!(
-            "{path}: weights of another network than that of the settings: tensor {} {:?}, expected {} {:?}",
-            found.name,
-            found.shape,
-            wanted.name,
-            wanted.shape
-        );
-    }
-    if found.len() != wanted.len() || given.config != expected.config {
-        bail!(
-            "{path}: weights of another network than that of the settings: {:?}, expected {:?}",
-            given.config,
-            expected.config
-        );
-    }
-    Ok(given)
 }
 
 /// Trains to the end; `None` if the flag told it to stop before.
@@ -362,58 +331,6 @@ impl<'a> Run<'a> {
         let checkpoint = self.trainer.checkpoint(self.place.clone());
         checkpoint.save(&self.plan.out.join(CHECKPOINT), self.trainer.weights())?;
         Ok(())
-    }
-}
-
-/// Makes sure that the settings are those of the data, as far as these say what they are.
-///
-/// # Errors
-/// One line that names the sequence, the key, its value and what the settings have.
-fn check_data(data: &DataSet, config: &Config) -> Result<()> {
-    let weights = config.first_weights().config;
-    let mut checked = None;
-    for part in data.parts() {
-        if checked.replace((part.path.parent(), &part.sequence)) == Some((part.path.parent(), &part.sequence))
-        {
-            continue;
-        }
-        let Some(mut scene) = recorded_beside(&part.path, &part.sequence)? else { continue };
-        scene.dt.get_or_insert(DEFAULT_DT);
-        scene.particle_radius.get_or_insert(DEFAULT_PARTICLE_RADIUS);
-        check_network(&scene, &weights)?;
-        let gravity = scene.gravity.unwrap_or(DEFAULT_GRAVITY);
-        if gravity != weights.gravity {
-            let path = scene.path.display();
-            bail!(
-                "{path}: `gravity`: {gravity:?} m/s², but the network is made for {:?} m/s²",
-                weights.gravity
-            );
-        }
-    }
-    Ok(())
-}
-
-/// What the bits of a training depend on.
-fn settings(plan: &Plan, data: &DataSet) -> Value {
-    let mut value = serde_json::to_value(&plan.config).unwrap_or_default();
-    value["data"]["parts"] = json!(data.parts().len());
-    value["data"]["frames"] = json!(data.parts().iter().map(|part| part.frames).sum::<usize>());
-    value["first_weights"] = json!(plan.weights);
-    value["kernel"] = json!(Kernel::detect().name());
-    value["version"] = json!(env!("CARGO_PKG_VERSION"));
-    value
-}
-
-/// Adds the entries that `value` does not have, at every depth.
-fn complete(value: &mut Value, defaults: &Value) {
-    let (Value::Object(entries), Value::Object(defaults)) = (value, defaults) else { return };
-    for (key, default) in defaults {
-        match entries.get_mut(key) {
-            Some(own) => complete(own, default),
-            None => {
-                entries.insert(key.clone(), default.clone());
-            }
-        }
     }
 }
 

@@ -14,6 +14,7 @@ use fluvia_net::weights::Weights;
 use fluvia_sim::frames::sequence;
 use serde::{Deserialize, Serialize};
 
+use super::shipped;
 use crate::options::PrecisionName;
 
 /// A configuration file. What a file does not say is as in the published training.
@@ -228,20 +229,6 @@ impl Default for Validation {
 /// are not exact.
 const WALL_SLACK: f32 = 0.2;
 
-/// The files of assets/configs, by name.
-const SHIPPED: [(&str, &str); 10] = [
-    ("paper", include_str!("../../../../assets/configs/paper.toml")),
-    ("published", include_str!("../../../../assets/configs/published.toml")),
-    ("box-6k", include_str!("../../../../assets/configs/box-6k.toml")),
-    ("viscosity", include_str!("../../../../assets/configs/viscosity.toml")),
-    ("dam-break", include_str!("../../../../assets/configs/dam-break.toml")),
-    ("without-interpolation", include_str!("../../../../assets/configs/without-interpolation.toml")),
-    ("without-window", include_str!("../../../../assets/configs/without-window.toml")),
-    ("triangular-window", include_str!("../../../../assets/configs/triangular-window.toml")),
-    ("naive-loss", include_str!("../../../../assets/configs/naive-loss.toml")),
-    ("without-fc", include_str!("../../../../assets/configs/without-fc.toml")),
-];
-
 impl Data {
     /// The folders of some data sets; one without validation scenes has none.
     pub fn of(sets: &[PathBuf]) -> Data {
@@ -259,16 +246,15 @@ impl Config {
     /// If it cannot be read or parsed, has an unknown key, or a value is out of range.
     pub fn load(name: &str) -> Result<Config> {
         let path = Path::new(name);
-        let shipped = SHIPPED.iter().find(|(shipped, _)| *shipped == name);
-        let text = match (shipped, std::fs::read_to_string(path)) {
+        let text = match (shipped::text(name), std::fs::read_to_string(path)) {
             (_, Ok(text)) => text,
-            (Some((_, text)), Err(_)) => (*text).to_owned(),
+            (Some(text), Err(_)) => text.to_owned(),
             (None, Err(error)) => {
                 let error = anyhow::Error::new(error).context(name.to_owned());
                 if path.extension().is_some() || path.exists() {
                     return Err(error);
                 }
-                let names: Vec<_> = SHIPPED.iter().map(|(name, _)| *name).collect();
+                let names: Vec<_> = shipped::names().collect();
                 return Err(error.context(format!("no shipped settings (there are {})", names.join(", "))));
             }
         };
@@ -459,7 +445,7 @@ mod tests {
             assert_eq!(Config::load(path.to_str().unwrap()).unwrap(), config);
         }
         files.sort();
-        let mut shipped = SHIPPED.map(|(name, _)| name);
+        let mut shipped: Vec<_> = shipped::names().collect();
         shipped.sort_unstable();
         assert_eq!(files, shipped);
     }
