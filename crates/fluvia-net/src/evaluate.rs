@@ -89,11 +89,7 @@ impl Judged<'_> {
     ///
     /// # Errors
     /// As the solver, and if a frame cannot be read.
-    pub fn start_errors(
-        &mut self,
-        truth: &mut impl Truth,
-        mut done: impl FnMut(),
-    ) -> Result<Vec<StartErrors>> {
+    pub fn start_errors(&mut self, truth: &mut impl Truth) -> Result<Vec<StartErrors>> {
         let frames = truth.frames();
         let mut starts = Vec::new();
         let mut start = frames.start;
@@ -108,42 +104,42 @@ impl Judged<'_> {
             }
             starts.push(StartErrors { frame: start, errors });
             start += EVERY;
-            done();
         }
         Ok(starts)
     }
 
     /// A rollout from the first frame, as long as the truth is. `observe` sees every frame of it, the first included,
-    /// until one is not finite, with the true one; it gives what it wants kept.
+    /// until one is not finite.
     ///
     /// # Errors
-    /// As the solver, `observe`, and if a frame cannot be read.
+    /// As the solver, and if a frame cannot be read.
     pub fn roll_out(
         &mut self,
         truth: &mut impl Truth,
-        mut observe: impl FnMut(&Particles, &Particles) -> Result<()>,
+        mut observe: impl FnMut(&Particles),
     ) -> Result<Rolled> {
         let frames = truth.frames();
-        let mut before = truth.particles(frames.start)?;
-        let mut particles = before.clone();
-        observe(&particles, &before)?;
+        let mut particles = truth.particles(frames.start)?;
+        // The last that was compared.
+        let mut exact = Particles::default();
+        observe(&particles);
         let mut rolled = Rolled::default();
         for number in frames.start + 1..frames.end {
             let finite = rolled.non_finite_frames == 0 && self.step(&mut particles)?;
-            let exact = truth.particles(number)?;
             rolled.non_finite_frames += u64::from(!finite);
             let is_unstable = !finite || metrics::highest_speed(&particles.velocity) > UNSTABLE_SPEED;
             if is_unstable && rolled.unstable_from.is_none() {
                 rolled.unstable_from = Some(number);
             }
             if finite {
-                observe(&particles, &exact)?;
+                observe(&particles);
             }
             let passed = number - frames.start;
             let between = |from: &[[f32; 3]], to: &[[f32; 3]]| {
                 finite.then(|| distance_to_closest(from, to)).flatten().filter(|d| d.is_finite())
             };
             if passed.is_multiple_of(EVERY) {
+                exact = truth.particles(number)?;
                 rolled.compared.push(Compared {
                     frame: number,
                     distance: between(&exact.position, &particles.position),
@@ -151,9 +147,8 @@ impl Judged<'_> {
                 });
             }
             if passed > EVERY && (passed - 1).is_multiple_of(EVERY) {
-                rolled.published.push(between(&before.position, &particles.position));
+                rolled.published.push(between(&exact.position, &particles.position));
             }
-            before = exact;
         }
         Ok(rolled)
     }
@@ -257,11 +252,11 @@ mod tests {
 
     #[test]
     fn errors_grow_with_the_steps() {
-        let starts = judged(&mut Mover(1.25, 1e9)).start_errors(&mut Line(3..17), || ()).unwrap();
+        let starts = judged(&mut Mover(1.25, 1e9)).start_errors(&mut Line(3..17)).unwrap();
         // 13 + 3 is the last frame.
         assert_eq!(starts.iter().map(|start| start.frame).collect::<Vec<_>>(), [3, 8, 13]);
         assert!(starts.iter().all(|start| start.errors == [Some(0.25), Some(0.5)]), "{starts:?}");
-        let rolled = judged(&mut Mover(1.25, 1e9)).roll_out(&mut Line(3..17), |_, _| Ok(())).unwrap();
+        let rolled = judged(&mut Mover(1.25, 1e9)).roll_out(&mut Line(3..17), |_| ()).unwrap();
         let frames: Vec<_> = rolled.compared.iter().map(|one| (one.frame, one.distance)).collect();
         assert_eq!(frames, [(8, Some(1.25)), (13, Some(2.5))]);
         // Six and eleven predictions against five and ten true steps.
@@ -272,15 +267,11 @@ mod tests {
     #[test]
     fn frames_that_are_not_finite_are_counted() {
         let mut seen = 0;
-        let observe = |_: &Particles, _: &Particles| {
-            seen += 1;
-            Ok(())
-        };
-        let rolled = judged(&mut Mover(1.0, 6.5)).roll_out(&mut Line(0..12), observe).unwrap();
+        let rolled = judged(&mut Mover(1.0, 6.5)).roll_out(&mut Line(0..12), |_| seen += 1).unwrap();
         assert_eq!((rolled.non_finite_frames, rolled.unstable_from, seen), (5, Some(7), 7));
         assert_eq!(rolled.compared.iter().map(|one| one.distance).collect::<Vec<_>>(), [Some(0.0), None]);
         assert_eq!(mean(rolled.compared.iter().map(|one| one.distance)), None);
-        let starts = judged(&mut Mover(1.0, 6.5)).start_errors(&mut Line(0..12), || ()).unwrap();
+        let starts = judged(&mut Mover(1.0, 6.5)).start_errors(&mut Line(0..12)).unwrap();
         assert_eq!(starts[1].errors, [Some(0.0), None]);
         assert_eq!(lone_acceleration(&mut Mover(1.0, 6.5), [0.0; 3], 0.02).unwrap(), None);
     }

@@ -22,7 +22,7 @@ use rayon::prelude::*;
 
 use crate::Result;
 use crate::config::{Config, WALL_INPUTS};
-use crate::weights::{Convolution, Layer, Weights};
+use crate::weights::{Convolution, Layer, Weights, pad_inputs};
 
 pub use backward::NetworkGradients;
 
@@ -291,12 +291,6 @@ fn take_spare(values: &mut Vec<f32>, spare: &mut Vec<Vec<f32>>) {
 /// Whether the input of a layer is added to its output.
 fn is_residual(layer: &Filter) -> bool {
     layer.in_channels() == layer.out_channels()
-}
-
-/// Adds zero channels to the inputs of a filter [cells, in, out].
-fn pad_inputs(kernel: &[f32], inputs: usize, outputs: usize, padded: usize) -> Vec<f32> {
-    let zeros = vec![0.0; (padded - inputs) * outputs];
-    kernel.chunks_exact(inputs * outputs).flat_map(|cell| cell.iter().chain(&zeros)).copied().collect()
 }
 
 /// Keeps what is no number: it must show in the output.

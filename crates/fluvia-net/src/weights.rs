@@ -128,16 +128,12 @@ impl Weights {
     /// The same network with one more input of fluid particles, after all others and with weights of zero: it computes the
     /// same until these are trained.
     pub fn with_extra_input(mut self, name: &str) -> Weights {
-        let (cells, inputs) = (self.config.filter_size.iter().product::<usize>(), self.fluid.inputs);
-        let wider = |values: &[f32], rows: usize, outputs: usize| -> Vec<f32> {
-            let zeros = vec![0.0; outputs];
-            let rows = values.chunks_exact(inputs * outputs).take(rows);
-            rows.flat_map(|row| row.iter().chain(&zeros)).copied().collect()
-        };
-        self.fluid.kernel = wider(&self.fluid.kernel, cells, self.fluid.outputs);
-        self.fluid.inputs += 1;
-        if let Some(dense) = &mut self.fluid_dense {
-            dense.weight = wider(&dense.weight, 1, dense.outputs);
+        let wider = |values: &[f32], inputs: usize, outputs| pad_inputs(values, inputs, outputs, inputs + 1);
+        let Weights { fluid, fluid_dense, .. } = &mut self;
+        fluid.kernel = wider(&fluid.kernel, fluid.inputs, fluid.outputs);
+        fluid.inputs += 1;
+        if let Some(dense) = fluid_dense {
+            dense.weight = wider(&dense.weight, dense.inputs, dense.outputs);
             dense.inputs += 1;
         }
         self.config.extra_inputs.push(name.to_owned());
@@ -203,6 +199,12 @@ impl Weights {
             Some(format!("tensor `{}`: value {index} is {}", tensor.name, tensor.values[index]))
         })
     }
+}
+
+/// Adds zero channels to the inputs of a filter [cells, in, out].
+pub(crate) fn pad_inputs(kernel: &[f32], inputs: usize, outputs: usize, padded: usize) -> Vec<f32> {
+    let zeros = vec![0.0; (padded - inputs) * outputs];
+    kernel.chunks_exact(inputs * outputs).flat_map(|cell| cell.iter().chain(&zeros)).copied().collect()
 }
 
 /// Reads the weights of a network.

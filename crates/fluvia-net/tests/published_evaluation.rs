@@ -36,8 +36,8 @@ fn the_published_weights_have_their_figures() {
         let mut solver = NetSolver::new(&weights, sequence.walls(), &[None], Kernel::detect()).unwrap();
         let mut judged =
             Judged { solver: &mut solver, gravity: weights.config.gravity, dt: weights.config.dt };
-        let starts = judged.start_errors(&mut sequence, || ()).unwrap();
-        let rolled = judged.roll_out(&mut sequence, |_, _| Ok(())).unwrap();
+        let starts = judged.start_errors(&mut sequence).unwrap();
+        let rolled = judged.roll_out(&mut sequence, |_| ()).unwrap();
         let frames = sequence.frames().end;
         let last = |frame: u64| 5 * frame >= 4 * frames;
         let error = |k: usize, late: bool| {

@@ -16,7 +16,7 @@ use fluvia_sim::frames::{self, sequence};
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use crate::evaluate;
+use crate::evaluate::{self, truth::find};
 use crate::interrupt;
 use crate::options::{PrecisionName, thread_pool, threads};
 use crate::plots::short;
@@ -187,8 +187,8 @@ fn figures(
 /// The validation scenes by the sizes of their files: others are compressed to others.
 fn sizes(data: &Path) -> Result<Vec<u64>> {
     let mut sizes = Vec::new();
-    for files in sequence::find(&data.join("valid"))? {
-        for part in files.parts {
+    for path in find(data)? {
+        for part in sequence::find(&path)?.into_iter().flat_map(|files| files.parts) {
             let metadata = std::fs::metadata(&part).with_context(|| part.display().to_string())?;
             sizes.push(metadata.len());
         }

@@ -2,7 +2,7 @@
 
 pub mod figures;
 mod report;
-mod truth;
+pub mod truth;
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -233,15 +233,11 @@ fn outcome(candidate: &Candidate, truth: &mut Recorded, bar: &ProgressBar) -> Re
     let setup = truth.setup.clone();
     let mut solver = candidate.choice.make(&setup, Kernel::detect())?;
     let mut judged = Judged { solver: solver.as_mut(), gravity: setup.gravity, dt: setup.dt };
-    let starts = judged.start_errors(truth, || ())?;
-    // What a solver remembers belongs to the particles, but a new one owes nothing to the starts.
-    let mut solver = candidate.choice.make(&setup, Kernel::detect())?;
-    let mut judged = Judged { solver: solver.as_mut(), gravity: setup.gravity, dt: setup.dt };
+    let starts = judged.start_errors(truth)?;
     let mut curves = truth.curves(&candidate.label);
-    let rolled = judged.roll_out(truth, |particles, _| {
+    let rolled = judged.roll_out(truth, |particles| {
         curves.measure(&particles.position, &particles.velocity);
         bar.inc(1);
-        Ok(())
     })?;
     bar.inc(rolled.non_finite_frames);
     Ok(Outcome { starts, rolled, curves })

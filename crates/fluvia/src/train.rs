@@ -12,6 +12,7 @@ mod begin;
 pub mod config;
 mod events;
 pub mod log;
+mod names;
 mod shipped;
 
 use std::path::{Path, PathBuf};
@@ -39,7 +40,7 @@ use log::{Line, Log};
 
 const SETTINGS: &str = "config.json";
 const CHECKPOINT: &str = "checkpoint.safetensors";
-pub const WEIGHTS: &str = "weights.safetensors";
+const WEIGHTS: &str = "weights.safetensors";
 const BEST: &str = "best.safetensors";
 
 /// Options of `fluvia train`.
@@ -289,8 +290,8 @@ impl<'a> Run<'a> {
 
     /// The errors on the validation windows; the best weights are kept.
     fn validate(&mut self) -> Result<()> {
-        let weights = self.result();
         let Some(validation) = &self.validation else { return Ok(()) };
+        let weights = self.result();
         let errors = validation.errors(&weights, &self.plan.config.options(), Kernel::detect())?;
         let finite = |value: &f64| value.is_finite();
         let error = |step: usize| errors.position.get(step).copied().filter(finite);

@@ -16,8 +16,8 @@ use rayon::prelude::*;
 
 use super::{
     Fluid, Memory, Network, Pass, TASK_VALUES, WALL_CHANNELS, WALL_INPUTS, Walls, activate, add, is_residual,
-    pad_inputs,
 };
+use crate::weights::pad_inputs;
 
 /// Places of the first layer's tensors in [`Weights::tensors`](crate::weights::Weights::tensors): kernels and weights; each
 /// bias follows.

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::{Result, bail};
 use cconv::Kernel;
-use fluvia_net::dataset::DataSet;
+use fluvia_net::dataset::{DataSet, PartFile};
 use fluvia_net::weights::{Tensor, Weights};
 use fluvia_sim::scene::{DEFAULT_DT, DEFAULT_GRAVITY, DEFAULT_PARTICLE_RADIUS};
 use serde_json::{Value, json};
@@ -50,23 +50,21 @@ pub fn given_weights(path: &Path, config: &Config) -> Result<Weights> {
 /// # Errors
 /// One line that names the sequence, the key, its value and what the settings have.
 pub fn check_data(data: &DataSet, config: &Config) -> Result<()> {
-    let weights = config.first_weights().config;
-    let mut checked = None;
-    for part in data.parts() {
-        if checked.replace((part.path.parent(), &part.sequence)) == Some((part.path.parent(), &part.sequence))
-        {
-            continue;
-        }
-        let Some(mut scene) = recorded_beside(&part.path, &part.sequence)? else { continue };
+    let made_for = config.made_for();
+    fn sequence(part: &PartFile) -> (Option<&Path>, &str) {
+        (part.path.parent(), &part.sequence)
+    }
+    for parts in data.parts().chunk_by(|a, b| sequence(a) == sequence(b)) {
+        let Some(mut scene) = recorded_beside(&parts[0].path, &parts[0].sequence)? else { continue };
         scene.dt.get_or_insert(DEFAULT_DT);
         scene.particle_radius.get_or_insert(DEFAULT_PARTICLE_RADIUS);
-        check_network(&scene, &weights)?;
+        check_network(&scene, &made_for)?;
         let gravity = scene.gravity.unwrap_or(DEFAULT_GRAVITY);
-        if gravity != weights.gravity {
+        if gravity != made_for.gravity {
             let path = scene.path.display();
             bail!(
                 "{path}: `gravity`: {gravity:?} m/s², but the network is made for {:?} m/s²",
-                weights.gravity
+                made_for.gravity
             );
         }
     }

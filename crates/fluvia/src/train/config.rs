@@ -14,6 +14,7 @@ use fluvia_net::weights::Weights;
 use fluvia_sim::frames::sequence;
 use serde::{Deserialize, Serialize};
 
+use super::names::{IntegrationName, InterpolationName, WindowName};
 use super::shipped;
 use crate::options::PrecisionName;
 
@@ -78,28 +79,6 @@ impl Default for Network {
             gravity,
         }
     }
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum IntegrationName {
-    Paper,
-    Velocity,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum InterpolationName {
-    Linear,
-    Nearest,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum WindowName {
-    Poly6,
-    Triangular,
-    None,
 }
 
 /// Eq. 16.
@@ -344,10 +323,10 @@ impl Config {
         Ok(())
     }
 
-    /// The weights that the training begins with.
-    pub fn first_weights(&self) -> Weights {
-        let Network { integration, first, hidden, viscosity, dt, gravity, .. } = &self.network;
-        let config = NetworkConfig {
+    /// What the network is made for.
+    pub fn made_for(&self) -> NetworkConfig {
+        let Network { integration, viscosity, dt, gravity, .. } = &self.network;
+        NetworkConfig {
             interpolation: match self.network.interpolation {
                 InterpolationName::Linear => Interpolation::Linear,
                 InterpolationName::Nearest => Interpolation::Nearest,
@@ -366,8 +345,13 @@ impl Config {
                 IntegrationName::Velocity => Integration::Velocity,
             },
             ..NetworkConfig::default()
-        };
-        Weights::random(config, *first, hidden, self.training.seed)
+        }
+    }
+
+    /// The weights that the training begins with.
+    pub fn first_weights(&self) -> Weights {
+        let Network { first, hidden, .. } = &self.network;
+        Weights::random(self.made_for(), *first, hidden, self.training.seed)
     }
 
     pub fn options(&self) -> Options {
