@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""How many particles a second a training takes, beside torch and Open3D: the same windows, the published network and loss.
+"""How many particles a second a training takes, beside torch and Open3D: windows of the same data, the published network and loss.
 
 usage: validation/training_speed.py FLUVIA DATA [--updates 6] [--rounds 3] [--precision f32|bf16]
        FLUVIA the program, DATA a folder of sequences in the published format (out/data/train)

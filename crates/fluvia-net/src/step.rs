@@ -156,7 +156,8 @@ impl Step {
         }
     }
 
-    /// The number of fluid neighbours of each particle at x*, itself excluded, in the caller's order.
+    /// The number of fluid neighbours of each particle at x*, in the caller's order: itself excluded, and particles that
+    /// coincide with it unless there is no fully connected part.
     pub fn neighbor_counts(&self, network: &Network) -> Vec<u32> {
         let itself = if network.config().fully_connected { 0 } else { 1 };
         let mut counts = vec![0; self.order.len()];

@@ -16,13 +16,12 @@ mod sample;
 mod warnings;
 mod write;
 
-use std::io::Write;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 pub use placement::{Placement, Rotation};
 
-use crate::frames::write_atomically;
+use crate::frames::write_text;
 use crate::mesh::TriangleMesh;
 use crate::particles::Boundary;
 use crate::shapes::Shape;
@@ -185,8 +184,7 @@ impl Scene {
     /// # Errors
     /// `Io`, and those of [`to_json`](Scene::to_json).
     pub fn write(&self, path: impl AsRef<Path>) -> Result<()> {
-        let text = self.to_json()?;
-        write_atomically(path.as_ref(), |out: &mut dyn Write| out.write_all(text.as_bytes()))
+        write_text(path.as_ref(), &self.to_json()?)
     }
 
     /// The material of each fluid, the scene's where it has none of its own.

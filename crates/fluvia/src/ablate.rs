@@ -135,8 +135,7 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
     };
     let table = markdown(&variants);
     frames::write_json(&args.out.join(JSON), &variants)?;
-    let text = table.clone() + "\n";
-    frames::write_atomically(&args.out.join(TABLE), |file| file.write_all(text.as_bytes()))?;
+    frames::write_text(&args.out.join(TABLE), &(table.clone() + "\n"))?;
     report.result(if args.json { json!(variants).to_string() } else { table })?;
     Ok(ExitCode::SUCCESS)
 }
@@ -199,8 +198,11 @@ fn sizes(data: &Path) -> Result<Vec<u64>> {
 /// Means over seeds with half of their range, and in brackets what the paper has.
 fn markdown(variants: &[Variant]) -> String {
     let seeds = variants.first().map_or(0, |variant| variant.figures.len());
-    let mut lines =
-        vec![format!("Means of {seeds} seeds ± half of their range, mm; in brackets the paper's.")];
+    let means = match seeds {
+        1 => "One seed".to_owned(),
+        _ => format!("Means of {seeds} seeds ± half of their range"),
+    };
+    let mut lines = vec![format!("{means}, mm; in brackets the paper's.")];
     lines.push(String::new());
     lines.push(format!("| variant |{}", KEYS.map(|(_, title)| format!(" {title} |")).concat()));
     lines.push("| --- |".to_owned() + &" --- |".repeat(KEYS.len()));
@@ -208,12 +210,17 @@ fn markdown(variants: &[Variant]) -> String {
         let paper = PAPER.iter().find(|(known, _)| known == name).map(|(_, values)| values);
         let cell = |(k, (key, _)): (usize, &(&str, &str))| {
             let values: Option<Vec<f64>> = figures.iter().map(|one| one[*key].as_f64()).collect();
-            let found = values.filter(|values| !values.is_empty()).map_or("not finite".into(), |values| {
-                let mean = values.iter().sum::<f64>() / values.len() as f64;
-                let (low, high) =
-                    values.iter().fold((f64::MAX, f64::MIN), |(low, high), v| (low.min(*v), high.max(*v)));
-                format!("{} ± {}", short(mean), short((high - low) / 2.0))
-            });
+            let found = match values.as_deref() {
+                None | Some([]) => "none".into(),
+                Some([only]) => short(*only),
+                Some(values) => {
+                    let mean = values.iter().sum::<f64>() / values.len() as f64;
+                    let (low, high) = values
+                        .iter()
+                        .fold((f64::MAX, f64::MIN), |(low, high), v| (low.min(*v), high.max(*v)));
+                    format!("{} ± {}", short(mean), short((high - low) / 2.0))
+                }
+            };
             match paper {
                 Some(values) => format!(" {found} ({}) |", values[k]),
                 None => format!(" {found} |"),

@@ -193,10 +193,6 @@ fn compare(
 fn write(out: &Path, comparison: &Comparison) -> Result<()> {
     let plots = plots::svg(comparison).map_err(|error| anyhow::anyhow!("{}: {error}", out.display()))?;
     frames::write_json(&out.join(JSON), comparison)?;
-    let text = |name: &str, text: String| {
-        frames::write_atomically(&out.join(name), |file| std::io::Write::write_all(file, text.as_bytes()))
-    };
-    text(TABLE, table::markdown(comparison) + "\n")?;
-    text(PLOTS, plots)?;
-    Ok(())
+    frames::write_text(&out.join(TABLE), &(table::markdown(comparison) + "\n"))?;
+    Ok(frames::write_text(&out.join(PLOTS), &plots)?)
 }

@@ -109,13 +109,9 @@ struct Outcome {
 }
 
 pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
-    let paths = truth::find(&args.data)?;
     thread_pool(args.threads)?.install(|| {
         // All that can be wrong with what was asked for shows before the first step.
-        let mut truths = Vec::with_capacity(paths.len());
-        for path in &paths {
-            truths.push(Recorded::open(path, args.dt, report)?);
-        }
+        let mut truths = open(&args.data, args.dt, report)?;
         let candidates = candidates(args, &truths)?;
         let frames: u64 = truths.iter().map(|truth| truth.frames().end - truth.frames().start).sum();
         let bar = report.bar(frames * (1 + candidates.len() as u64));
@@ -170,10 +166,13 @@ fn candidates(args: &Args, truths: &[Recorded]) -> Result<Vec<Candidate>> {
 /// As [`of_weights`].
 pub fn check(weights: Weights, data: &Path, report: &Report) -> Result<()> {
     let choice = Choice::Network(Box::new(weights), PrecisionName::F32);
-    for path in truth::find(data)? {
-        choice.check(&path, &Recorded::open(&path, None, report)?.setup)?;
-    }
-    Ok(())
+    let truths = open(data, None, report)?;
+    truths.iter().try_for_each(|truth| choice.check(truth.path(), &truth.setup))
+}
+
+/// All true sequences.
+fn open(data: &Path, dt: Option<f32>, report: &Report) -> Result<Vec<Recorded>> {
+    truth::find(data)?.iter().map(|path| Recorded::open(path, dt, report)).collect()
 }
 
 /// The figures of weights on the sequences of a data set; `None` if it was told to stop.
@@ -189,12 +188,11 @@ pub fn of_weights(
     let choice = Choice::Network(Box::new(weights), PrecisionName::F32);
     let candidate = Candidate { label: String::new(), choice };
     let (mut sequences, mut outcomes) = (Vec::new(), Vec::new());
-    for path in truth::find(data)? {
+    for mut truth in open(data, None, report)? {
         if interrupted.load(Ordering::Relaxed) {
             return Ok(None);
         }
-        let mut truth = Recorded::open(&path, None, report)?;
-        candidate.choice.check(&path, &truth.setup)?;
+        candidate.choice.check(truth.path(), &truth.setup)?;
         let frames = truth.frames();
         let bar = report.bar(2 * (frames.end - frames.start));
         sequences.push(measure(&mut truth, &bar)?);

@@ -37,7 +37,7 @@ pub struct Args {
 }
 
 /// The numbers of a training.
-struct Curves<'a> {
+struct Training<'a> {
     label: &'a str,
     /// Updates, loss, length of the gradient, rate, particles a second.
     train: [Vec<f64>; 5],
@@ -52,41 +52,41 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
         (None, [run]) => labelled(run).1.join(PICTURE),
         (None, _) => bail!("several runs: expected --out for their picture"),
     };
-    let curves = args.runs.iter().map(|run| read(run)).collect::<Result<Vec<_>>>()?;
-    let picture = picture(&curves).map_err(|error| anyhow::anyhow!("{}: {error}", out.display()))?;
-    frames::write_atomically(&out, |file| file.write_all(picture.as_bytes()))?;
+    let trainings = args.runs.iter().map(|run| read(run)).collect::<Result<Vec<_>>>()?;
+    let picture = picture(&trainings).map_err(|error| anyhow::anyhow!("{}: {error}", out.display()))?;
+    frames::write_text(&out, &picture)?;
     if !report.is_quiet() {
         report.result(out.display())?;
     }
     Ok(ExitCode::SUCCESS)
 }
 
-fn read(run: &str) -> Result<Curves<'_>> {
+fn read(run: &str) -> Result<Training<'_>> {
     let (label, path) = labelled(run);
     let path = path.join(FILE);
-    let mut curves =
-        Curves { label, train: Default::default(), validated: Vec::new(), errors: Default::default() };
+    let mut training =
+        Training { label, train: Default::default(), validated: Vec::new(), errors: Default::default() };
     for line in read_whole(&path)? {
         match line {
             Line::Train { update, loss, gradient, rate, particles_per_s } => {
                 let values = [update as f64, loss, gradient, rate, particles_per_s];
-                curves.train.iter_mut().zip(values).for_each(|(curve, value)| curve.push(value));
+                training.train.iter_mut().zip(values).for_each(|(curve, value)| curve.push(value));
             }
             Line::Valid { update, err_n1_mm, err_n2_mm, .. } => {
-                curves.validated.push(update as f64);
-                curves.errors[0].push(err_n1_mm);
-                curves.errors[1].push(err_n2_mm);
+                training.validated.push(update as f64);
+                training.errors[0].push(err_n1_mm);
+                training.errors[1].push(err_n2_mm);
             }
         }
     }
-    if curves.train[0].is_empty() {
+    if training.train[0].is_empty() {
         bail!("{}: no updates yet", path.display());
     }
-    Ok(Curves { train: curves.train.map(|values| thinned(&values)), ..curves })
+    Ok(Training { train: training.train.map(|values| thinned(&values)), ..training })
 }
 
-fn picture(runs: &[Curves<'_>]) -> Result<String, String> {
-    let panel = |title, scale, curve: &dyn Fn(&Curves<'_>) -> (Vec<f64>, Curve)| {
+fn picture(runs: &[Training<'_>]) -> Result<String, String> {
+    let panel = |title, scale, curve: &dyn Fn(&Training<'_>) -> (Vec<f64>, Curve)| {
         let curves = runs.iter().map(|run| {
             let (at, values) = curve(run);
             (run.label, at, values)
@@ -94,9 +94,9 @@ fn picture(runs: &[Curves<'_>]) -> Result<String, String> {
         Panel { title, across: "updates", scale, curves: curves.collect() }
     };
     let train = |k: usize| {
-        move |run: &Curves<'_>| (run.train[0].clone(), run.train[k].iter().copied().map(Some).collect())
+        move |run: &Training<'_>| (run.train[0].clone(), run.train[k].iter().copied().map(Some).collect())
     };
-    let valid = |k: usize| move |run: &Curves<'_>| (run.validated.clone(), run.errors[k].clone());
+    let valid = |k: usize| move |run: &Training<'_>| (run.validated.clone(), run.errors[k].clone());
     let panels = [
         panel("loss", Scale::Logarithmic, &train(1)),
         panel("validation: error after one step, mm", Scale::Logarithmic, &valid(0)),

@@ -250,7 +250,14 @@ impl<'a> Run<'a> {
                 self.bar.suspend(|| self.report.warning(format_args!("left out: {message}")));
             }
             let begin = Instant::now();
-            let Progress { loss, gradient, rate } = self.trainer.step(&batch)?;
+            let Progress { loss, gradient, rate } = match self.trainer.step(&batch) {
+                Ok(progress) => progress,
+                Err(error) => {
+                    // The weights are still those of the update before.
+                    self.save()?;
+                    return Err(error.into());
+                }
+            };
             let particles = batch.samples();
             let particles_per_s = particles as f64 / begin.elapsed().as_secs_f64().max(1e-9);
             self.place.updates += 1;

@@ -23,6 +23,14 @@ pub fn write_atomically(path: &Path, content: impl FnOnce(&mut dyn Write) -> io:
     write_to(path, content).map_err(Error::io(path))
 }
 
+/// Writes a text, atomically.
+///
+/// # Errors
+/// `Io`.
+pub fn write_text(path: &Path, text: &str) -> Result<()> {
+    write_atomically(path, |out| out.write_all(text.as_bytes()))
+}
+
 /// Writes a value as indented JSON, atomically.
 ///
 /// # Errors

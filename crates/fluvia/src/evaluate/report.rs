@@ -71,12 +71,11 @@ pub fn write(out: &Path, results: &Results) -> Result<()> {
         curves.insert(sequence.name.clone(), serde_json::to_value(one)?);
         let path = out.join(format!("{}.svg", sequence.name));
         let picture = picture(results, k).map_err(|error| anyhow!("{}: {error}", path.display()))?;
-        frames::write_atomically(&path, |file| file.write_all(picture.as_bytes()))?;
+        frames::write_text(&path, &picture)?;
     }
     report["curves"] = Value::Object(curves);
     frames::write_json(&out.join(JSON), &report)?;
-    let table = markdown(results) + "\n";
-    Ok(frames::write_atomically(&out.join(TABLE), |file| file.write_all(table.as_bytes()))?)
+    Ok(frames::write_text(&out.join(TABLE), &(markdown(results) + "\n"))?)
 }
 
 /// The time of each frame, seconds.
@@ -132,7 +131,7 @@ fn picture(results: &Results, k: usize) -> Result<String, String> {
 /// The figures as tables: of all sequences together, and the main ones of each.
 pub fn markdown(results: &Results) -> String {
     let evaluations = &results.evaluations;
-    let labels = || evaluations.iter().map(|one| format!(" {} |", one.label)).collect::<String>();
+    let labels = || evaluations.iter().map(|one| one.label.clone());
     let rule = || "| --- |".to_owned() + &" --- |".repeat(evaluations.len());
     let all: Vec<Figures> = evaluations
         .iter()
@@ -142,7 +141,7 @@ pub fn markdown(results: &Results) -> String {
     let sequences = results.sequences.len();
     let noun = if sequences == 1 { "sequence" } else { "sequences" };
     let mut lines = vec![format!("{sequences} {noun}, {frames} frames"), String::new()];
-    lines.push(format!("| figure | truth |{}", labels()));
+    lines.push(row("figure", ["truth".to_owned()].into_iter().chain(labels())));
     lines.push(rule() + " --- |");
     type Row<F> = (&'static str, fn(&F) -> String);
     let rows: [Row<Figures>; 13] = [
@@ -160,10 +159,7 @@ pub fn markdown(results: &Results) -> String {
         ("frames that are not finite", |f| f.non_finite_frames.to_string()),
         ("unstable from frame", |f| f.unstable_from.map_or("never".into(), |frame| frame.to_string())),
     ];
-    for (name, text) in rows {
-        let cells: String = all.iter().map(|f| format!(" {} |", text(f))).collect();
-        lines.push(format!("| {name} | |{cells}"));
-    }
+    lines.extend(rows.map(|(name, text)| row(name, [String::new()].into_iter().chain(all.iter().map(text)))));
     let rows: [Row<StateFigures>; 6] = [
         ("particles outside, last frame", |f| count(f.outside)),
         ("particles outside, worst frame", |f| count(f.worst_outside)),
@@ -173,27 +169,26 @@ pub fn markdown(results: &Results) -> String {
         ("mean speed, last fifth, m/s", |f| number(f.speed_last_fifth_m_per_s)),
     ];
     let exact = truth(results);
-    for (name, text) in rows {
-        let cells: String = [&exact]
-            .into_iter()
-            .chain(all.iter().map(|f| &f.state))
-            .map(|f| format!(" {} |", text(f)))
-            .collect();
-        lines.push(format!("| {name} |{cells}"));
-    }
-    let lone = evaluations.iter().map(|one| format!(" {} |", number(one.lone_acceleration.map(length))));
-    lines.push(format!("| acceleration of a particle alone, m/s² | |{}", lone.collect::<String>()));
+    let states = || [&exact].into_iter().chain(all.iter().map(|f| &f.state));
+    lines.extend(rows.map(|(name, text)| row(name, states().map(text))));
+    let lone = evaluations.iter().map(|one| number(one.lone_acceleration.map(length)));
+    lines.push(row("acceleration of a particle alone, m/s²", [String::new()].into_iter().chain(lone)));
     lines.push(String::new());
-    lines.push(format!("| n+1, n+2, whole sequence, mm |{}", labels()));
+    lines.push(row("n+1, n+2, whole sequence, mm", labels()));
     lines.push(rule());
     for (k, sequence) in results.sequences.iter().enumerate() {
         let cells = evaluations.iter().map(|one| {
             let f = Figures::of(&[(sequence, &one.outcomes[k])]);
-            format!(" {}, {}, {} |", number(f.err_n1_mm), number(f.err_n2_mm), number(f.whole_seq_mm))
+            format!("{}, {}, {}", number(f.err_n1_mm), number(f.err_n2_mm), number(f.whole_seq_mm))
         });
-        lines.push(format!("| {} |{}", sequence.name, cells.collect::<String>()));
+        lines.push(row(&sequence.name, cells));
     }
     lines.join("\n")
+}
+
+/// A row of a table.
+fn row(name: &str, cells: impl Iterator<Item = String>) -> String {
+    format!("| {name} |{}", cells.map(|cell| format!(" {cell} |")).collect::<String>())
 }
 
 /// A number with four digits, or that there is none.

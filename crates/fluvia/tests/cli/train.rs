@@ -19,6 +19,10 @@ velocity = true
 [training]
 updates = 24
 batch = 2
+lead = 2
+position_noise = 0.0001
+velocity_noise = 0.01
+free_particles = 3
 average = 0.9
 [rate]
 kind = \"cosine\"
@@ -135,9 +139,6 @@ fn what_is_refused() {
     folder.fail("train config.toml --data data --out damaged", &["sim_0002_00.msgpack.zst"]);
     let run = folder.succeed("train config.toml --data data --out left --skip-damaged");
     assert!(run.stderr.contains("sim_0002_00.msgpack.zst"), "{}", run.stderr);
-    // Weights that explode.
-    folder.write("wild.toml", CONFIG.replace("highest = 0.01", "highest = 1e30"));
-    folder.fail("train wild.toml --data data --skip-damaged --out wild", &["not finite in update"]);
     // A checkpoint that is cut short.
     let checkpoint = folder.path("run/checkpoint.safetensors");
     let bytes = std::fs::read(&checkpoint).unwrap();
@@ -156,12 +157,33 @@ fn an_overwritten_training_is_gone() {
         "wild.toml",
         CONFIG.replace("highest = 0.01", "highest = 1e30").replace("updates = 24", "updates = 8"),
     );
-    // It ends before its first checkpoint.
+    // It ends before its first validation.
     let run = folder.run("train wild.toml --data data --out run --overwrite");
     assert_eq!(run.code, Some(1), "{}", run.stderr);
-    assert!(
-        !folder.path("run/checkpoint.safetensors").exists() && !folder.path("run/best.safetensors").exists()
-    );
+    assert!(!folder.path("run/best.safetensors").exists());
+    folder.fail("train config.toml --data data --out run --updates 8 --resume", &["rate.highest"]);
+}
+
+/// What was learned before a loss that is not finite is on disk, and such weights are evaluated as what they are.
+#[test]
+fn a_training_that_explodes() {
+    let folder = folder();
+    folder.write("wild.toml", CONFIG.replace("highest = 0.01", "highest = 1e30"));
+    folder.fail("train wild.toml --data data --out wild", &["not finite in update"]);
+    let updates = lines(&folder, "wild").len();
+    let inspected = folder.succeed("inspect wild/weights.safetensors").stdout;
+    assert!(updates > 0 && inspected.contains(&format!(r#"\"updates\":{updates},"#)), "{inspected}");
+    folder.fail("train wild.toml --data data --out wild --resume --quiet", &["not finite in update"]);
+
+    let command = "evaluate --weights wild/weights.safetensors --data data --out report --json";
+    let found = folder.succeed(command).last_json();
+    assert!(found["non_finite_frames"].as_u64().unwrap() > 0, "{found}");
+    assert!(found["unstable_from"].as_u64().unwrap() > 0, "{found}");
+    for key in ["whole_seq_mm", "outside", "worst_outside", "highest_density", "height_error_mm"] {
+        assert!(found[key].is_null(), "{key}: {}", found[key]);
+        assert!(found["sequences"]["sim_0003"][key].is_null(), "{key}");
+    }
+    assert!(folder.path("report/sim_0003.svg").exists());
 }
 
 #[test]
@@ -283,7 +305,10 @@ fn memory_stays_flat() {
     let folder = Folder::new();
     folder.write(
         "config.toml",
-        CONFIG.replace("updates = 24", "updates = 2400").replace("every = 6", "every = 50"),
+        CONFIG
+            .replace("updates = 24", "updates = 2400")
+            .replace("every = 6", "every = 50")
+            .replace("lead = 2", "lead = 1"),
     );
     let data = crate::common::sequence("set");
     let mut command =
