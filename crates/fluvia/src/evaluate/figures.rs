@@ -145,3 +145,98 @@ fn is_late(k: usize, count: usize) -> bool {
 fn millimetres(metres: f64) -> f64 {
     1e3 * metres
 }
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use fluvia_net::evaluate::{Compared, Rolled, StartErrors};
+
+    use super::*;
+    use crate::curves::Surroundings;
+
+    /// Curves of a particle alone with these heights, each frame 1 m/s faster than the one before; outside below 0 m.
+    fn curves(heights: &[f32]) -> Curves {
+        let walls = fluvia_sim::metrics::Bounds::of(&[[-1.0, 0.0, -1.0], [1.0, 100.0, 1.0]]);
+        let scene = Surroundings { walls, particle_radius: 0.025, gravity: [0.0, -10.0, 0.0] };
+        let mut curves = Curves::new("", Path::new(""), scene);
+        for (k, &y) in heights.iter().enumerate() {
+            curves.measure(&[[0.0, y, 0.0]], &[[k as f32, 0.0, 0.0]]);
+        }
+        curves
+    }
+
+    fn truth(heights: &[f32]) -> Sequence {
+        Sequence { name: String::new(), first: 7, dt: 0.02, truth: curves(heights) }
+    }
+
+    /// The first frames of a rollout; starts from frames 7, 12, ... with errors of as many metres.
+    fn outcome(heights: &[f32], starts: &[Option<f64>]) -> Outcome {
+        let starts = starts.iter().zip(0..).map(|(&error, k)| StartErrors {
+            frame: 7 + 5 * k,
+            errors: [error, error.map(|error| 2.0 * error)],
+        });
+        let compared = Compared { frame: 12, distance: Some(0.5), distance_back: None };
+        let rolled = Rolled { compared: vec![compared], published: vec![Some(0.25)], ..Rolled::default() };
+        Outcome { starts: starts.collect(), rolled, curves: curves(heights) }
+    }
+
+    #[test]
+    fn means_of_several_sequences_are_over_all_their_frames() {
+        let [a, b] = [truth(&[1.0; 10]), truth(&[1.0; 30])];
+        let [of_a, of_b] = [
+            outcome(&[2.0; 10], &[Some(0.001), Some(0.002)]),
+            outcome(&[1.5; 30], &[Some(0.004), None, Some(0.004), Some(0.004), Some(0.004), Some(0.005)]),
+        ];
+        let found = Figures::of(&[(&a, &of_a)]);
+        let rounded = |value: Option<f64>| (1e6 * value.unwrap()).round() / 1e6;
+        assert_eq!((rounded(found.err_n1_mm), rounded(found.err_n2_mm)), (1.5, 3.0));
+        // Of 10 frames the last two, of 30 the last six: the start from the 26th frame.
+        assert_eq!(found.err_n1_last_fifth_mm, None);
+        assert_eq!(rounded(found.height_error_mm), 1000.0);
+        // There is no frame 20 in ten.
+        assert_eq!(found.height_error_frame_20_mm, None);
+        assert_eq!((rounded(found.whole_seq_mm), found.whole_seq_back_mm), (500.0, None));
+        assert_eq!(rounded(found.whole_seq_published_loop_mm), 250.0);
+        assert_eq!(rounded(found.energy_error_j_per_kg), 10.0);
+        assert_eq!(found.state.speed_last_fifth_m_per_s, Some(8.5));
+
+        let both = Figures::of(&[(&a, &of_a), (&b, &of_b)]);
+        // A start whose step is not finite has no error, and so has no mean with it.
+        assert_eq!(both.err_n1_mm, None);
+        assert_eq!(rounded(both.err_n1_last_fifth_mm), 5.0);
+        assert_eq!(rounded(both.height_error_mm), 625.0);
+        assert_eq!(rounded(both.state.speed_last_fifth_m_per_s), (8.0 + 9.0 + 6.0 * 26.5) / 8.0);
+        let only_b = Figures::of(&[(&b, &of_b)]);
+        assert_eq!(rounded(only_b.height_error_frame_20_mm), 500.0);
+    }
+
+    #[test]
+    fn particles_outside_are_sums() {
+        let [a, b] = [truth(&[1.0; 3]), truth(&[1.0; 3])];
+        let [of_a, of_b] = [outcome(&[1.0, -1.0, 1.0], &[]), outcome(&[-1.0, 1.0, -1.0], &[])];
+        let found = Figures::of(&[(&a, &of_a), (&b, &of_b)]).state;
+        assert_eq!((found.outside, found.worst_outside), (Some(1), Some(2)));
+        assert_eq!(found.worst_dense_particles, Some(0));
+    }
+
+    #[test]
+    fn a_rollout_that_broke_off_looks_like_none() {
+        let exact = truth(&[1.0; 5]);
+        let mut broken = outcome(&[1.0; 3], &[]);
+        broken.rolled = Rolled { non_finite_frames: 2, unstable_from: Some(9), ..Rolled::default() };
+        let found = Figures::of(&[(&exact, &broken)]);
+        assert_eq!((found.non_finite_frames, found.unstable_from), (2, Some(9)));
+        assert_eq!((found.whole_seq_mm, found.height_error_mm), (None, None));
+        assert_eq!((found.momentum_error_m_per_s, found.energy_error_j_per_kg), (None, None));
+        let nothing = StateFigures {
+            outside: None,
+            worst_outside: None,
+            highest_density: None,
+            worst_dense_particles: None,
+            dense_particles_last_fifth: None,
+            speed_last_fifth_m_per_s: None,
+        };
+        assert_eq!(found.state, nothing);
+    }
+}

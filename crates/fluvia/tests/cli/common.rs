@@ -55,6 +55,26 @@ impl Folder {
         run
     }
 
+    /// Runs what has begun with `file` when Ctrl-C comes, and must then stop by itself.
+    #[cfg(unix)]
+    pub fn interrupt(&self, arguments: &str, file: &str) -> Run {
+        use std::process::Stdio;
+        use std::time::{Duration, Instant};
+        let mut command = self.command(arguments);
+        let child =
+            command.stderr(Stdio::piped()).stdout(Stdio::piped()).spawn().expect("the program starts");
+        let start = Instant::now();
+        while !self.path(file).exists() {
+            assert!(start.elapsed() < Duration::from_secs(60), "{arguments}: no {file} after a minute");
+            std::thread::sleep(Duration::from_millis(2));
+        }
+        let pid = child.id().to_string();
+        assert!(Command::new("kill").args(["-INT", &pid]).status().expect("kill").success());
+        let run = Run::new(arguments, child.wait_with_output().expect("an end"));
+        assert_eq!(run.code, Some(130), "{arguments}: {}", run.stderr);
+        run
+    }
+
     /// Runs what must fail with one line that mentions all of `words`, and leave no directory `out`.
     pub fn fail(&self, arguments: &str, words: &[&str]) {
         let run = self.run(arguments);

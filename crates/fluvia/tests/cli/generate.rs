@@ -206,17 +206,7 @@ fn a_scene_that_blew_up_is_replaced() {
 fn control_c_stops_and_the_command_goes_on() {
     let folder = Folder::new();
     let whole = make(&folder, "whole", "");
-    let mut command = folder.command(&format!("{SMALL} --out out"));
-    let child = command.stderr(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
-    let start = std::time::Instant::now();
-    while !folder.path("out/train/sim_0001_00.msgpack.zst").exists() {
-        assert!(start.elapsed() < Duration::from_secs(60), "no part after a minute");
-        std::thread::sleep(Duration::from_millis(2));
-    }
-    let pid = child.id().to_string();
-    assert!(std::process::Command::new("kill").args(["-INT", &pid]).status().unwrap().success());
-    let output = child.wait_with_output().unwrap();
-    assert_eq!(output.status.code(), Some(130));
+    folder.interrupt(&format!("{SMALL} --out out"), "out/train/sim_0001_00.msgpack.zst");
     assert!(make(&folder, "out", "") == whole);
 }
 

@@ -85,18 +85,8 @@ fn a_killed_run_goes_on_to_the_same_bytes() {
 fn control_c_leaves_whole_frames() {
     let folder = Folder::new();
     folder.write("scene.json", SCENE);
-    let mut command = folder.command("simulate scene.json --steps 100000 --out out");
-    let child = command.stderr(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
-    let start = std::time::Instant::now();
-    while !folder.path("out/fluid_0003.npz").exists() {
-        assert!(start.elapsed() < Duration::from_secs(60), "no frames after a minute");
-        std::thread::sleep(Duration::from_millis(5));
-    }
-    let pid = child.id().to_string();
-    assert!(std::process::Command::new("kill").args(["-INT", &pid]).status().unwrap().success());
-    let output = child.wait_with_output().unwrap();
-    assert_eq!(output.status.code(), Some(130));
-    assert!(String::from_utf8(output.stderr).unwrap().contains("--resume"));
+    let stopped = folder.interrupt("simulate scene.json --steps 100000 --out out", "out/fluid_0003.npz");
+    assert!(stopped.stderr.contains("--resume"), "{}", stopped.stderr);
     let frames = folder.files("out").keys().filter(|name| name.starts_with("fluid_")).count();
     let state = folder.succeed("inspect out/state.npz --json").last_json();
     assert_eq!(state["particles"], 64);

@@ -235,6 +235,18 @@ fn variants_side_by_side() {
     assert!(error(0, 0) != error(0, 1) && error(0, 0) != error(1, 0));
     let inspected = folder.succeed("inspect table/bare/seed_1/weights.safetensors").stdout;
     assert!(!inspected.contains("dense1"), "{inspected}");
+    // Stopped in its second training and in its first evaluation, the same command ends with the same table.
+    #[cfg(unix)]
+    for (out, file) in [
+        ("trains", "trains/bare/seed_0/config.json"),
+        ("evaluates", "evaluates/base/seed_0/weights.safetensors"),
+    ] {
+        let command = command.replace("--out table", &format!("--out {out}"));
+        let stopped = folder.interrupt(&command, file);
+        assert!(stopped.stderr.contains("the same command goes on"), "{}", stopped.stderr);
+        assert!(!folder.path(&format!("{out}/ablation.md")).exists());
+        assert_eq!(folder.succeed(&command).stdout, printed);
+    }
     // What is there is not made again.
     let before = numbers(&folder, "table/bare/seed_1/weights.safetensors");
     assert_eq!(folder.succeed(command).stdout, printed);
