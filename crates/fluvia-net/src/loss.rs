@@ -8,11 +8,17 @@
 //!
 //! The paper sums where the published code takes means and multiplies with s, the inverse of the scale of the network's
 //! output: what Adam makes of the gradient does not depend on it but for its ε. φ counts as a constant. With velocities in
-//! the loss, L_k has the same term for Δt |v_i − v̂_i| / 2, half the way that the difference makes in a step.
+//! the loss, L_k has the same term for Δt |v_i − v̂_i| / 2, half the way that the difference makes in a step; with
+//! compression, it has κ max(0, ρ_i / ρ_0 − 1), which no distance to the truth tells apart from a shift.
 
 use fluvia_neighbors::Point;
 
+use crate::config::Config;
 use crate::integrate::State;
+
+mod compression;
+
+use compression::compression;
 
 /// s: the loss is of the order of 1.
 const SCALE: f64 = 128.0;
@@ -29,19 +35,21 @@ pub struct Loss {
     pub exponent: f32,
     /// Whether velocities count beside positions.
     pub velocity: bool,
+    /// κ: how much compression counts.
+    pub compression: f32,
 }
 
 impl Default for Loss {
     /// That of the paper.
     fn default() -> Loss {
-        Loss { neighbor_scale: Some(40.0), exponent: 0.5, velocity: false }
+        Loss { neighbor_scale: Some(40.0), exponent: 0.5, velocity: false, compression: 0.0 }
     }
 }
 
 impl Loss {
     /// The loss of all steps. `predicted` and `truth` are the states after each; `neighbors` are the numbers of fluid
-    /// neighbours at x* in each; `clouds` says where the particles of each cloud start, clouds + 1 entries; `dt` is
-    /// Δt, seconds. The derivatives by `predicted` are written to `by_predicted`.
+    /// neighbours at x* in each; `clouds` says where the particles of each cloud start, clouds + 1 entries; of
+    /// `config` Δt and the particle radius count. The derivatives by `predicted` are written to `by_predicted`.
     ///
     /// # Panics
     /// If lengths do not fit.
@@ -51,7 +59,7 @@ impl Loss {
         truth: &[State],
         neighbors: &[Vec<u32>],
         clouds: &[usize],
-        dt: f32,
+        config: &Config,
         by_predicted: &mut Vec<State>,
     ) -> f64 {
         assert_eq!(predicted.len(), truth.len(), "a true state for each step");
@@ -76,12 +84,28 @@ impl Loss {
                     cloud_sum += f64::from(weight * value);
                     by.position.push(gradient.map(|d| factor * d));
                     if self.velocity {
-                        let (value, gradient) = self.term(predicted.velocity[i], truth.velocity[i], dt / 2.0);
+                        let (value, gradient) =
+                            self.term(predicted.velocity[i], truth.velocity[i], config.dt / 2.0);
                         cloud_sum += f64::from(weight * value);
                         by.velocity[i] = gradient.map(|d| factor * d);
                     }
                 }
                 sum += scale * cloud_sum;
+            }
+            if self.compression > 0.0 {
+                let weight = clouds.windows(2).flat_map(|cloud| {
+                    let count = cloud[1] - cloud[0];
+                    let scale = SCALE / (terms * count) as f64 * f64::from(self.compression);
+                    std::iter::repeat_n(scale as f32, count)
+                });
+                let weight: Vec<f32> = weight.collect();
+                sum += compression(
+                    &predicted.position,
+                    clouds,
+                    &weight,
+                    config.particle_radius,
+                    &mut by.position,
+                );
             }
         }
         sum
@@ -121,13 +145,20 @@ mod tests {
         for loss in [
             Loss::default(),
             Loss { velocity: true, ..Loss::default() },
-            Loss { neighbor_scale: None, exponent: 1.0, velocity: true },
+            Loss { neighbor_scale: None, exponent: 1.0, velocity: true, compression: 0.0 },
         ] {
             let value = |values: &[f32]| {
-                loss.evaluate(&states(values), &truth, &neighbors, &clouds, 0.02, &mut Vec::new())
+                loss.evaluate(
+                    &states(values),
+                    &truth,
+                    &neighbors,
+                    &clouds,
+                    &Config::default(),
+                    &mut Vec::new(),
+                )
             };
             let mut by = Vec::new();
-            loss.evaluate(&states(&values), &truth, &neighbors, &clouds, 0.02, &mut by);
+            loss.evaluate(&states(&values), &truth, &neighbors, &clouds, &Config::default(), &mut by);
             let gradient: Vec<f32> =
                 by[0].position.iter().chain(&by[0].velocity).flatten().copied().collect();
             for i in 0..18 {
@@ -146,13 +177,51 @@ mod tests {
     }
 
     #[test]
+    fn compression_counts_beside_the_distance_to_the_truth() {
+        // Twelve particles within a centimetre, and what they should be farther apart.
+        let position: Vec<Point> =
+            (0..12).map(|k| [k % 3, k / 3 % 2, k / 6].map(|n| 0.004 * n as f32)).collect();
+        let clouds = [0, 10, 12];
+        let value = |position: &[Point], compression: f32, by: &mut Vec<State>| {
+            let loss = Loss { compression, ..Loss::default() };
+            let velocity = vec![[0.0; 3]; 12];
+            let state = [State { position: position.to_vec(), velocity: velocity.clone() }];
+            let truth = [State { position: vec![[0.02, 0.03, 0.04]; 12], velocity }];
+            loss.evaluate(&state, &truth, &[vec![0; 12]], &clouds, &Config::default(), by)
+        };
+        let (mut without, mut with) = (Vec::new(), Vec::new());
+        let more = value(&position, 0.5, &mut with) - value(&position, 0.0, &mut without);
+        // Ten together: 2.5 times the density at rest and a bit less; two together: none.
+        let highest = 128.0 * 0.5 * 0.5 * (10.0 * 0.2546 - 1.0);
+        assert!(0.9 * highest < more && more < highest, "{more} of {highest}");
+        assert_eq!(with[0].position[11], without[0].position[11]);
+        for (k, axis) in [(0, 0), (3, 1), (9, 2)] {
+            let moved = |way: f32| {
+                let mut position = position.clone();
+                position[k][axis] += way;
+                value(&position, 0.5, &mut Vec::new())
+            };
+            let slope = (moved(1e-3) - moved(-1e-3)) / 2e-3;
+            let found = f64::from(with[0].position[k][axis]);
+            assert!((slope - found).abs() < 0.02 * (1.0 + slope.abs()), "{k} {axis}: {slope} and {found}");
+        }
+    }
+
+    #[test]
     fn a_cloud_counts_as_much_as_another_and_few_neighbors_more() {
         let truth = states(&[0.0; 18]);
         let mut values = [0.0; 18];
         values[6] = 0.01;
         let loss = |values: &[f32; 18], neighbors: u32| {
             let neighbors = vec![vec![neighbors; 3]];
-            Loss::default().evaluate(&states(values), &truth, &neighbors, &[0, 2, 3], 0.02, &mut Vec::new())
+            Loss::default().evaluate(
+                &states(values),
+                &truth,
+                &neighbors,
+                &[0, 2, 3],
+                &Config::default(),
+                &mut Vec::new(),
+            )
         };
         // What is left of a loss where all is exact: sqrt(sqrt(ε)).
         let zero = loss(&[0.0; 18], 0);

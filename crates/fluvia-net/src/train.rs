@@ -163,7 +163,7 @@ impl Trainer {
             truth,
             unroll.neighbor_counts(),
             &batch.clouds,
-            config.dt,
+            config,
             by_states,
         );
         let wanted = StepGradients {

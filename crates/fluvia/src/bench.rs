@@ -224,9 +224,16 @@ impl Bench {
                     }
                     // Where nothing moved is as good a truth as any for the time that it takes.
                     let truth = vec![state.clone(); TRAIN_STEPS];
-                    let (neighbors, dt) = (unroll.neighbor_counts(), network.config().dt);
+                    let (neighbors, config) = (unroll.neighbor_counts(), network.config());
                     let mut by_states = Vec::new();
-                    Loss::default().evaluate(unroll.states(), &truth, neighbors, clouds, dt, &mut by_states);
+                    Loss::default().evaluate(
+                        unroll.states(),
+                        &truth,
+                        neighbors,
+                        clouds,
+                        config,
+                        &mut by_states,
+                    );
                     let wanted = StepGradients {
                         tensors: Some(tensors),
                         positions: PositionGradient::Stop,

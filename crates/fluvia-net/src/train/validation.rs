@@ -100,7 +100,7 @@ impl Validation {
             let (neighbors, clouds) = (unroll.neighbor_counts(), &batch.clouds);
             let nowhere = &mut Vec::new();
             errors.loss +=
-                part * options.loss.evaluate(states, &batch.truth, neighbors, clouds, config.dt, nowhere);
+                part * options.loss.evaluate(states, &batch.truth, neighbors, clouds, config, nowhere);
         }
         Ok(errors)
     }

@@ -91,12 +91,14 @@ pub struct LossSettings {
     pub exponent: f32,
     /// Whether velocities count beside positions.
     pub velocity: bool,
+    /// How much compression counts.
+    pub compression: f32,
 }
 
 impl Default for LossSettings {
     fn default() -> LossSettings {
-        let Loss { neighbor_scale, exponent, velocity } = Loss::default();
-        LossSettings { neighbors: neighbor_scale.unwrap_or_default(), exponent, velocity }
+        let Loss { neighbor_scale, exponent, velocity, compression } = Loss::default();
+        LossSettings { neighbors: neighbor_scale.unwrap_or_default(), exponent, velocity, compression }
     }
 }
 
@@ -309,6 +311,7 @@ impl Config {
         }
         let at_least_zero = [
             ("loss.neighbors", loss.neighbors),
+            ("loss.compression", loss.compression),
             ("training.position_noise", training.position_noise),
             ("training.velocity_noise", training.velocity_noise),
         ];
@@ -361,6 +364,7 @@ impl Config {
                 neighbor_scale: (loss.neighbors > 0.0).then_some(loss.neighbors),
                 exponent: loss.exponent,
                 velocity: loss.velocity,
+                compression: loss.compression,
             },
             schedule: match &self.rate {
                 Rate::Paper {} => Schedule::paper(training.updates),
