@@ -17,7 +17,9 @@ use fluvia_neighbors::Point;
 use fluvia_sim::frames::sequence::{self, Part, Sequence};
 use fluvia_sim::particles::Acceleration;
 
+use crate::config::Config;
 use crate::integrate::State;
+use crate::loss::Scene;
 use crate::net::{Network, Walls};
 use crate::step::World;
 use crate::{Error, Result};
@@ -138,6 +140,12 @@ impl Batch {
     pub fn world(&self, gravity: Point) -> World<'_> {
         let acceleration = Acceleration::Uniform(gravity);
         World { extra: &self.extra, acceleration, clouds: &self.clouds }
+    }
+
+    /// What a loss knows of it.
+    pub fn scene<'a>(&'a self, config: &'a Config) -> Scene<'a> {
+        let Batch { clouds, wall_position, wall_clouds, .. } = self;
+        Scene { clouds, wall_position, wall_clouds, config }
     }
 
     /// The wall particles, for a network.

@@ -18,7 +18,7 @@ use crate::integrate::State;
 
 mod compression;
 
-use compression::compression;
+use compression::Compression;
 
 /// s: the loss is of the order of 1.
 const SCALE: f64 = 128.0;
@@ -39,6 +39,19 @@ pub struct Loss {
     pub compression: f32,
 }
 
+/// What a loss knows beside the states.
+#[derive(Clone, Copy, Debug)]
+pub struct Scene<'a> {
+    /// Where the particles of each cloud start: clouds + 1 entries.
+    pub clouds: &'a [usize],
+    /// The walls, metres.
+    pub wall_position: &'a [Point],
+    /// Where the wall particles of each cloud start.
+    pub wall_clouds: &'a [usize],
+    /// Of this Δt and the particle radius count.
+    pub config: &'a Config,
+}
+
 impl Default for Loss {
     /// That of the paper.
     fn default() -> Loss {
@@ -48,8 +61,7 @@ impl Default for Loss {
 
 impl Loss {
     /// The loss of all steps. `predicted` and `truth` are the states after each; `neighbors` are the numbers of fluid
-    /// neighbours at x* in each; `clouds` says where the particles of each cloud start, clouds + 1 entries; of
-    /// `config` Δt and the particle radius count. The derivatives by `predicted` are written to `by_predicted`.
+    /// neighbours at x* in each. The derivatives by `predicted` are written to `by_predicted`.
     ///
     /// # Panics
     /// If lengths do not fit.
@@ -58,13 +70,14 @@ impl Loss {
         predicted: &[State],
         truth: &[State],
         neighbors: &[Vec<u32>],
-        clouds: &[usize],
-        config: &Config,
+        scene: &Scene<'_>,
         by_predicted: &mut Vec<State>,
     ) -> f64 {
         assert_eq!(predicted.len(), truth.len(), "a true state for each step");
         assert_eq!(predicted.len(), neighbors.len(), "numbers of neighbours for each step");
         by_predicted.resize_with(predicted.len(), State::default);
+        let Scene { clouds, config, .. } = *scene;
+        let mut compression = (self.compression > 0.0).then(|| Compression::of(scene));
         let terms = (clouds.len() - 1) * predicted.len();
         let mut sum = 0.0;
         for (k, by) in by_predicted.iter_mut().enumerate() {
@@ -92,20 +105,13 @@ impl Loss {
                 }
                 sum += scale * cloud_sum;
             }
-            if self.compression > 0.0 {
+            if let Some(compression) = &mut compression {
                 let weight = clouds.windows(2).flat_map(|cloud| {
                     let count = cloud[1] - cloud[0];
                     let scale = SCALE / (terms * count) as f64 * f64::from(self.compression);
                     std::iter::repeat_n(scale as f32, count)
                 });
-                let weight: Vec<f32> = weight.collect();
-                sum += compression(
-                    &predicted.position,
-                    clouds,
-                    &weight,
-                    config.particle_radius,
-                    &mut by.position,
-                );
+                sum += compression.add(&predicted.position, &weight.collect::<Vec<_>>(), &mut by.position);
             }
         }
         sum
@@ -136,6 +142,11 @@ mod tests {
         vec![State { position: points[..half].to_vec(), velocity: points[half..].to_vec() }]
     }
 
+    /// Two clouds without walls.
+    fn scene<'a>(clouds: &'a [usize; 3], config: &'a Config) -> Scene<'a> {
+        Scene { clouds, wall_position: &[], wall_clouds: &[0; 3], config }
+    }
+
     #[test]
     fn the_derivatives_are_those_of_the_value() {
         let truth = states(&[0.0; 18]);
@@ -152,13 +163,12 @@ mod tests {
                     &states(values),
                     &truth,
                     &neighbors,
-                    &clouds,
-                    &Config::default(),
+                    &scene(&clouds, &Config::default()),
                     &mut Vec::new(),
                 )
             };
             let mut by = Vec::new();
-            loss.evaluate(&states(&values), &truth, &neighbors, &clouds, &Config::default(), &mut by);
+            loss.evaluate(&states(&values), &truth, &neighbors, &scene(&clouds, &Config::default()), &mut by);
             let gradient: Vec<f32> =
                 by[0].position.iter().chain(&by[0].velocity).flatten().copied().collect();
             for i in 0..18 {
@@ -187,7 +197,7 @@ mod tests {
             let velocity = vec![[0.0; 3]; 12];
             let state = [State { position: position.to_vec(), velocity: velocity.clone() }];
             let truth = [State { position: vec![[0.02, 0.03, 0.04]; 12], velocity }];
-            loss.evaluate(&state, &truth, &[vec![0; 12]], &clouds, &Config::default(), by)
+            loss.evaluate(&state, &truth, &[vec![0; 12]], &scene(&clouds, &Config::default()), by)
         };
         let (mut without, mut with) = (Vec::new(), Vec::new());
         let more = value(&position, 0.5, &mut with) - value(&position, 0.0, &mut without);
@@ -218,8 +228,7 @@ mod tests {
                 &states(values),
                 &truth,
                 &neighbors,
-                &[0, 2, 3],
-                &Config::default(),
+                &scene(&[0, 2, 3], &Config::default()),
                 &mut Vec::new(),
             )
         };

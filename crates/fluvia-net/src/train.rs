@@ -162,8 +162,7 @@ impl Trainer {
             unroll.states(),
             truth,
             unroll.neighbor_counts(),
-            &batch.clouds,
-            config,
+            &batch.scene(config),
             by_states,
         );
         let wanted = StepGradients {

@@ -9,7 +9,7 @@ use anyhow::{Context, Result, bail};
 use cconv::{Kernel, PositionGradient, Precision};
 use fluvia_net::config::Config;
 use fluvia_net::integrate::State;
-use fluvia_net::loss::Loss;
+use fluvia_net::loss::{Loss, Scene};
 use fluvia_net::net::{Activations, Memory, Network, Walls};
 use fluvia_net::step::{Step, StepGradients, World};
 use fluvia_net::unroll::{Storage, Unroll};
@@ -225,15 +225,10 @@ impl Bench {
                     // Where nothing moved is as good a truth as any for the time that it takes.
                     let truth = vec![state.clone(); TRAIN_STEPS];
                     let (neighbors, config) = (unroll.neighbor_counts(), network.config());
+                    // No walls: only compression asks for them.
+                    let scene = Scene { clouds, wall_position: &[], wall_clouds: &[], config };
                     let mut by_states = Vec::new();
-                    Loss::default().evaluate(
-                        unroll.states(),
-                        &truth,
-                        neighbors,
-                        clouds,
-                        config,
-                        &mut by_states,
-                    );
+                    Loss::default().evaluate(unroll.states(), &truth, neighbors, &scene, &mut by_states);
                     let wanted = StepGradients {
                         tensors: Some(tensors),
                         positions: PositionGradient::Stop,

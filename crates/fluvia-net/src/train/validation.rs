@@ -97,10 +97,9 @@ impl Validation {
                 }
             }
             let part = (batch.clouds.len() - 1) as f64 / windows;
-            let (neighbors, clouds) = (unroll.neighbor_counts(), &batch.clouds);
-            let nowhere = &mut Vec::new();
-            errors.loss +=
-                part * options.loss.evaluate(states, &batch.truth, neighbors, clouds, config, nowhere);
+            let (neighbors, scene) = (unroll.neighbor_counts(), batch.scene(config));
+            let loss = options.loss.evaluate(states, &batch.truth, neighbors, &scene, &mut Vec::new());
+            errors.loss += part * loss;
         }
         Ok(errors)
     }
