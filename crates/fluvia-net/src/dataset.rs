@@ -90,6 +90,18 @@ impl DataSet {
         &self.parts
     }
 
+    /// Makes sure that there is a window of `frames` frames.
+    ///
+    /// # Errors
+    /// `File` if all parts are shorter.
+    pub fn check_windows(&self, frames: usize) -> Result<()> {
+        if self.parts.iter().any(|part| part.frames >= frames) {
+            return Ok(());
+        }
+        let folder = self.parts.first().and_then(|part| part.path.parent()).unwrap_or(Path::new(""));
+        Err(Error::file(folder, format!("no part has {frames} frames or more, as a window needs")))
+    }
+
     /// The windows of `frames` frames in each part.
     pub fn windows(&self, frames: usize) -> Vec<usize> {
         self.parts.iter().map(|part| (part.frames + 1).saturating_sub(frames)).collect()

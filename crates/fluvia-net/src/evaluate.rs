@@ -206,6 +206,7 @@ pub(crate) fn mean_distance(a: &[[f32; 3]], b: &[[f32; 3]]) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use fluvia_neighbors::Point;
     use fluvia_sim::rollout::StepInfo;
 
     use super::*;
@@ -224,39 +225,46 @@ mod tests {
         }
     }
 
-    /// Moves particles by a length along x, until the given x is reached: then one is nowhere.
-    struct Mover(f32, f32);
+    /// A solver that is a function of particles, acceleration and time.
+    struct By<F>(F);
 
-    impl Solver for Mover {
+    impl<F: FnMut(&mut Particles, Point, f32)> Solver for By<F> {
         fn name(&self) -> &'static str {
-            "mover"
+            "function"
         }
 
         fn step(
             &mut self,
             particles: &mut Particles,
-            _: Acceleration<'_>,
-            _: f32,
+            acceleration: Acceleration<'_>,
+            dt: f32,
         ) -> fluvia_sim::Result<StepInfo> {
-            for x in &mut particles.position {
-                x[0] += self.0;
-                x[0] = if x[0] < self.1 { x[0] } else { f32::NAN };
-            }
+            (self.0)(particles, acceleration.of(0), dt);
             Ok(StepInfo::default())
         }
     }
 
-    fn judged(solver: &mut Mover) -> Judged<'_> {
+    /// Moves particles by a length along x, until the given x is reached: then one is nowhere.
+    fn mover(length: f32, end: f32) -> impl Solver {
+        By(move |particles: &mut Particles, _, _| {
+            for x in &mut particles.position {
+                x[0] += length;
+                x[0] = if x[0] < end { x[0] } else { f32::NAN };
+            }
+        })
+    }
+
+    fn judged(solver: &mut impl Solver) -> Judged<'_> {
         Judged { solver, gravity: [0.0; 3], dt: 0.02 }
     }
 
     #[test]
     fn errors_grow_with_the_steps() {
-        let starts = judged(&mut Mover(1.25, 1e9)).start_errors(&mut Line(3..17)).unwrap();
+        let starts = judged(&mut mover(1.25, 1e9)).start_errors(&mut Line(3..17)).unwrap();
         // 13 + 3 is the last frame.
         assert_eq!(starts.iter().map(|start| start.frame).collect::<Vec<_>>(), [3, 8, 13]);
         assert!(starts.iter().all(|start| start.errors == [Some(0.25), Some(0.5)]), "{starts:?}");
-        let rolled = judged(&mut Mover(1.25, 1e9)).roll_out(&mut Line(3..17), |_| ()).unwrap();
+        let rolled = judged(&mut mover(1.25, 1e9)).roll_out(&mut Line(3..17), |_| ()).unwrap();
         let frames: Vec<_> = rolled.compared.iter().map(|one| (one.frame, one.distance)).collect();
         assert_eq!(frames, [(8, Some(1.25)), (13, Some(2.5))]);
         // Six and eleven predictions against five and ten true steps.
@@ -267,40 +275,25 @@ mod tests {
     #[test]
     fn frames_that_are_not_finite_are_counted() {
         let mut seen = 0;
-        let rolled = judged(&mut Mover(1.0, 6.5)).roll_out(&mut Line(0..12), |_| seen += 1).unwrap();
+        let rolled = judged(&mut mover(1.0, 6.5)).roll_out(&mut Line(0..12), |_| seen += 1).unwrap();
         assert_eq!((rolled.non_finite_frames, rolled.unstable_from, seen), (5, Some(7), 7));
         assert_eq!(rolled.compared.iter().map(|one| one.distance).collect::<Vec<_>>(), [Some(0.0), None]);
         assert_eq!(mean(rolled.compared.iter().map(|one| one.distance)), None);
-        let starts = judged(&mut Mover(1.0, 6.5)).start_errors(&mut Line(0..12)).unwrap();
+        let starts = judged(&mut mover(1.0, 6.5)).start_errors(&mut Line(0..12)).unwrap();
         assert_eq!(starts[1].errors, [Some(0.0), None]);
-        assert_eq!(lone_acceleration(&mut Mover(1.0, 6.5), [0.0; 3], 0.02).unwrap(), None);
-    }
-
-    /// Falls exactly, with the velocity of Eq. 14.
-    struct Faller;
-
-    impl Solver for Faller {
-        fn name(&self) -> &'static str {
-            "faller"
-        }
-
-        fn step(
-            &mut self,
-            particles: &mut Particles,
-            acceleration: Acceleration<'_>,
-            dt: f32,
-        ) -> fluvia_sim::Result<StepInfo> {
-            let half = if particles.velocity[0] == [0.0; 3] { 0.5 } else { 1.0 };
-            for (axis, v) in particles.velocity[0].iter_mut().enumerate() {
-                *v += half * dt * acceleration.of(0)[axis];
-            }
-            Ok(StepInfo::default())
-        }
+        assert_eq!(lone_acceleration(&mut mover(1.0, 6.5), [0.0; 3], 0.02).unwrap(), None);
     }
 
     #[test]
     fn velocities_of_half_a_frame_ago_are_no_error() {
-        let found = lone_acceleration(&mut Faller, [0.0, -9.81, 0.0], 0.02).unwrap().unwrap();
+        // Falls exactly, with the velocity of Eq. 14.
+        let mut faller = By(|particles: &mut Particles, acceleration: Point, dt: f32| {
+            let half = if particles.velocity[0] == [0.0; 3] { 0.5 } else { 1.0 };
+            for (v, a) in particles.velocity[0].iter_mut().zip(acceleration) {
+                *v += half * dt * a;
+            }
+        });
+        let found = lone_acceleration(&mut faller, [0.0, -9.81, 0.0], 0.02).unwrap().unwrap();
         assert!((found[1] + 9.81).abs() < 1e-4, "{found:?}");
     }
 }

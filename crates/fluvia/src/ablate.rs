@@ -19,9 +19,9 @@ use serde_json::{Value, json};
 use crate::evaluate::{self, truth::find};
 use crate::interrupt;
 use crate::options::{PrecisionName, thread_pool, threads};
-use crate::plots::short;
+use crate::plots::{range, short};
 use crate::record::read_source;
-use crate::report::Report;
+use crate::report::{Report, row};
 use crate::train::config::{Config, Data};
 use crate::train::{self, Plan, Trained};
 
@@ -204,7 +204,7 @@ fn markdown(variants: &[Variant]) -> String {
     };
     let mut lines = vec![format!("{means}, mm; in brackets the paper's.")];
     lines.push(String::new());
-    lines.push(format!("| variant |{}", KEYS.map(|(_, title)| format!(" {title} |")).concat()));
+    lines.push(row("variant", KEYS.iter().map(|(_, title)| (*title).to_owned())));
     lines.push("| --- |".to_owned() + &" --- |".repeat(KEYS.len()));
     for Variant { name, figures } in variants {
         let paper = PAPER.iter().find(|(known, _)| known == name).map(|(_, values)| values);
@@ -215,18 +215,16 @@ fn markdown(variants: &[Variant]) -> String {
                 Some([only]) => short(*only),
                 Some(values) => {
                     let mean = values.iter().sum::<f64>() / values.len() as f64;
-                    let (low, high) = values
-                        .iter()
-                        .fold((f64::MAX, f64::MIN), |(low, high), v| (low.min(*v), high.max(*v)));
+                    let (low, high) = range(values.iter().copied());
                     format!("{} ± {}", short(mean), short((high - low) / 2.0))
                 }
             };
             match paper {
-                Some(values) => format!(" {found} ({}) |", values[k]),
-                None => format!(" {found} |"),
+                Some(values) => format!("{found} ({})", values[k]),
+                None => found,
             }
         };
-        lines.push(format!("| {name} |{}", KEYS.iter().enumerate().map(cell).collect::<String>()));
+        lines.push(row(name, KEYS.iter().enumerate().map(cell)));
     }
     lines.join("\n")
 }

@@ -111,7 +111,7 @@ struct Outcome {
 pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
     thread_pool(args.threads)?.install(|| {
         // All that can be wrong with what was asked for shows before the first step.
-        let mut truths = open(&args.data, args.dt, report)?;
+        let mut truths = open(&args.data, args.dt, report)?.collect::<Result<Vec<_>>>()?;
         let candidates = candidates(args, &truths)?;
         let frames: u64 = truths.iter().map(|truth| truth.frames().end - truth.frames().start).sum();
         let bar = report.bar(frames * (1 + candidates.len() as u64));
@@ -166,13 +166,15 @@ fn candidates(args: &Args, truths: &[Recorded]) -> Result<Vec<Candidate>> {
 /// As [`of_weights`].
 pub fn check(weights: Weights, data: &Path, report: &Report) -> Result<()> {
     let choice = Choice::Network(Box::new(weights), PrecisionName::F32);
-    let truths = open(data, None, report)?;
-    truths.iter().try_for_each(|truth| choice.check(truth.path(), &truth.setup))
+    open(data, None, report)?.try_for_each(|truth| {
+        let truth = truth?;
+        choice.check(truth.path(), &truth.setup)
+    })
 }
 
-/// All true sequences.
-fn open(data: &Path, dt: Option<f32>, report: &Report) -> Result<Vec<Recorded>> {
-    truth::find(data)?.iter().map(|path| Recorded::open(path, dt, report)).collect()
+/// The true sequences, each opened when it is asked for: an open one holds a part in memory.
+fn open(data: &Path, dt: Option<f32>, report: &Report) -> Result<impl Iterator<Item = Result<Recorded>>> {
+    Ok(truth::find(data)?.into_iter().map(move |path| Recorded::open(&path, dt, report)))
 }
 
 /// The figures of weights on the sequences of a data set; `None` if it was told to stop.
@@ -188,7 +190,8 @@ pub fn of_weights(
     let choice = Choice::Network(Box::new(weights), PrecisionName::F32);
     let candidate = Candidate { label: String::new(), choice };
     let (mut sequences, mut outcomes) = (Vec::new(), Vec::new());
-    for mut truth in open(data, None, report)? {
+    for truth in open(data, None, report)? {
+        let mut truth = truth?;
         if interrupted.load(Ordering::Relaxed) {
             return Ok(None);
         }

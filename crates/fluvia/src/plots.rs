@@ -73,13 +73,13 @@ fn draw(panel: &Panel<'_>, area: &Area<'_>) -> Result<(), Box<dyn std::error::Er
         .map(|(_, at, curve)| at.iter().zip(curve).map(|(&x, value)| (x, value.and_then(height))).collect())
         .collect();
     let values = || curves.iter().flatten().filter_map(|(_, value)| *value);
-    let (low, high) = values().fold((f64::MAX, f64::MIN), |(low, high), v| (low.min(v), high.max(v)));
+    let (low, high) = range(values());
     let (low, high) = if low > high { (0.0, 1.0) } else { (low, high) };
     let slack = if high > low { 0.05 * (high - low) } else { 0.5 };
     // Room for the legend.
     let top = high + (1 + panel.curves.len()) as f64 * 1.5 * slack;
     let across = || curves.iter().flatten().map(|(x, _)| *x);
-    let (start, end) = across().fold((f64::MAX, f64::MIN), |(low, high), x| (low.min(x), high.max(x)));
+    let (start, end) = range(across());
     let (start, end) = match (start < end, start > end) {
         (true, _) => (start, end),
         (_, true) => (0.0, 1.0),
@@ -122,6 +122,11 @@ fn draw(panel: &Panel<'_>, area: &Area<'_>) -> Result<(), Box<dyn std::error::Er
         .label_font(TEXT)
         .draw()?;
     Ok(())
+}
+
+/// The lowest and the highest of some values; of none the lowest is above the highest.
+pub fn range(values: impl Iterator<Item = f64>) -> (f64, f64) {
+    values.fold((f64::MAX, f64::MIN), |(low, high), value| (low.min(value), high.max(value)))
 }
 
 /// A number of at most four digits.

@@ -149,17 +149,24 @@ pub fn load_scene(name: &str) -> Result<(Scene, Source)> {
             Ok((Scene::parse(text.as_bytes(), name)?, source))
         }
         _ => {
-            let scene = Scene::load(path).map_err(|error| {
-                let error = anyhow::Error::new(error);
-                if path.extension().is_some() || path.exists() {
-                    return error;
-                }
-                let shipped: Vec<_> = scene::shipped_names().collect();
-                error.context(format!("no shipped scene (there are {})", shipped.join(", ")))
-            })?;
+            let scene = Scene::load(path)
+                .map_err(|error| or_shipped(error.into(), path, "scene", scene::shipped_names()))?;
             Ok((scene, read_source(path)?.1))
         }
     }
+}
+
+/// The error of a file that is not there, with the names that there are if one of them may have been meant.
+pub fn or_shipped(
+    error: anyhow::Error,
+    path: &Path,
+    what: &str,
+    names: impl Iterator<Item = &'static str>,
+) -> anyhow::Error {
+    if path.extension().is_some() || path.exists() {
+        return error;
+    }
+    error.context(format!("no shipped {what} (there are {})", names.collect::<Vec<_>>().join(", ")))
 }
 
 /// The shortest decimal number that is this float32, for JSON values, which hold float64.

@@ -90,6 +90,11 @@ fn complain(line: &str) {
     let _ = writeln!(std::io::stderr(), "{line}");
 }
 
+/// A row of a Markdown table.
+pub fn row(name: &str, cells: impl Iterator<Item = String>) -> String {
+    format!("| {name} |{}", cells.map(|cell| format!(" {cell} |")).collect::<String>())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

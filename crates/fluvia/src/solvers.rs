@@ -77,13 +77,13 @@ impl Choice {
     /// # Errors
     /// One line that names `path` and the value.
     pub fn check(&self, path: &Path, setup: &Setup) -> Result<()> {
-        let materials = setup.emitters.iter().map(|emitter| emitter.material);
+        let mut materials = setup.emitters.iter().map(|emitter| emitter.material);
         match self {
             Choice::Network(weights, _) => {
                 let config = &weights.config;
                 check(path, "dt", Some(setup.dt), config.dt, "s")?;
                 check(path, "particle_radius", Some(setup.particle_radius), config.particle_radius, "m")?;
-                materials.into_iter().try_for_each(|material| check_material(path, "", material, config))
+                materials.try_for_each(|material| check_material(path, "", material, config))
             }
             Choice::Dfsph(_) => materials
                 .filter_map(|material| material.viscosity)

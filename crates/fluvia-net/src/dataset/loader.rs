@@ -85,17 +85,11 @@ impl Loader {
     /// Starts to read from a position of the stream.
     ///
     /// # Errors
-    /// `Parameter` if the data set has no window of so many steps.
+    /// As [`DataSet::check_windows`].
     pub fn start(data: &DataSet, sampling: Sampling, position: u64) -> Result<Loader> {
+        data.check_windows(sampling.frames())?;
         let windows = data.windows(sampling.frames());
         let order = Order::new(sampling.seed, windows, sampling.group);
-        if order.epoch_length() == 0 {
-            let message = format!(
-                "no part of the data set has {} frames or more, as a window needs",
-                sampling.frames()
-            );
-            return Err(Error::Parameter(message));
-        }
         let paths = data.parts().iter().map(|part| part.path.clone()).collect();
         let (sender, batches) = sync_channel(AHEAD);
         let thread = std::thread::spawn(move || {

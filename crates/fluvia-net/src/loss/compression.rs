@@ -7,7 +7,8 @@
 //!                                                         a_i: w_i where particle i is compressed, 0 elsewhere
 //! ```
 //!
-//! A particle in a wall has the density of the wall beside its own, so this keeps particles inside too.
+//! A particle at a wall has the density of the wall beside its own and is pushed away from it: inwards, as long as it is
+//! in front of the wall.
 
 use fluvia_neighbors::{Grids, Neighbors, Options, Point, Radius};
 use fluvia_sim::kernel::{CubicSpline, SUPPORT_IN_RADII, wall_volumes};

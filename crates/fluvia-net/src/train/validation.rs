@@ -4,12 +4,12 @@ use cconv::Kernel;
 use fluvia_sim::frames::sequence::read_part;
 
 use super::Options;
+use crate::Result;
 use crate::dataset::{Batch, DataSet, Rotation, Sampling};
 use crate::evaluate::mean_distance;
 use crate::net::Network;
 use crate::unroll::{Storage, Unroll};
 use crate::weights::Weights;
-use crate::{Error, Result};
 
 /// Windows of one call.
 const TOGETHER: usize = 4;
@@ -33,17 +33,12 @@ impl Validation {
     /// Takes so many windows, evenly from all of a data set, as they are: not turned.
     ///
     /// # Errors
-    /// If a part cannot be read; `Parameter` if there is no window of so many steps.
+    /// If a part cannot be read, and as [`DataSet::check_windows`].
     pub fn read(data: &DataSet, sampling: &Sampling, windows: usize) -> Result<Validation> {
         let steps = sampling.steps;
+        data.check_windows(steps + 1)?;
         let counts = data.windows(steps + 1);
         let all: usize = counts.iter().sum();
-        if all == 0 {
-            let frames = steps + 1;
-            return Err(Error::Parameter(format!(
-                "no part of the validation data has {frames} frames or more, as a window needs"
-            )));
-        }
         let windows = windows.min(all);
         let mut chosen = (0..windows).map(|k| (2 * k + 1) * all / (2 * windows)).peekable();
         let (mut batches, mut first) = (Vec::new(), 0);

@@ -11,6 +11,7 @@ use super::figures::{Figures, StateFigures};
 use super::{Evaluation, Outcome, Results, Sequence};
 use crate::curves::{Curve, Curves};
 use crate::plots::{self, Panel, Scale};
+use crate::report::row;
 
 /// The files that `--out` writes, beside a picture for each sequence.
 const JSON: &str = "report.json";
@@ -184,11 +185,6 @@ pub fn markdown(results: &Results) -> String {
         lines.push(row(&sequence.name, cells));
     }
     lines.join("\n")
-}
-
-/// A row of a table.
-fn row(name: &str, cells: impl Iterator<Item = String>) -> String {
-    format!("| {name} |{}", cells.map(|cell| format!(" {cell} |")).collect::<String>())
 }
 
 /// A number with four digits, or that there is none.

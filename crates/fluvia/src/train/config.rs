@@ -17,6 +17,7 @@ use serde::{Deserialize, Serialize};
 use super::names::{IntegrationName, InterpolationName, WindowName};
 use super::shipped;
 use crate::options::PrecisionName;
+use crate::record::or_shipped;
 
 /// A configuration file. What a file does not say is as in the published training.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -232,11 +233,7 @@ impl Config {
             (Some(text), Err(_)) => text.to_owned(),
             (None, Err(error)) => {
                 let error = anyhow::Error::new(error).context(name.to_owned());
-                if path.extension().is_some() || path.exists() {
-                    return Err(error);
-                }
-                let names: Vec<_> = shipped::names().collect();
-                return Err(error.context(format!("no shipped settings (there are {})", names.join(", "))));
+                return Err(or_shipped(error, path, "settings", shipped::names()));
             }
         };
         Config::parse(&text).with_context(|| name.to_owned())
