@@ -35,6 +35,8 @@ pub struct Config {
     /// The viscosity of the training data (the coefficient of Bender & Koschier 2017, dimensionless); the
     /// value for a scene that gives none if viscosity is an input.
     pub viscosity: f32,
+    /// The lowest and the highest viscosity of the training data, where it is an input and they are known.
+    pub viscosity_range: Option<[f32; 2]>,
     /// The rest density of the training data, kilograms per cubic metre.
     pub density: f32,
     /// The factor between the last layer and the correction in metres.
@@ -56,6 +58,7 @@ impl Default for Config {
             dt: 0.02,
             gravity: [0.0, -9.81, 0.0],
             viscosity: 0.01,
+            viscosity_range: None,
             density: 1000.0,
             output_scale: 1.0 / 128.0,
             integration: Integration::Paper,
@@ -98,6 +101,13 @@ impl Config {
         }
         if !(self.viscosity.is_finite() && self.viscosity >= 0.0) {
             return Some(format!("viscosity is {}, expected a number of at least 0", self.viscosity));
+        }
+        if let Some(range @ [low, high]) = self.viscosity_range
+            && !(0.0 <= low && low <= high && high.is_finite())
+        {
+            return Some(format!(
+                "viscosity_range is {range:?}, expected two ascending numbers of at least 0"
+            ));
         }
         if self.gravity.iter().any(|component| !component.is_finite()) {
             return Some(format!("gravity is {:?}, expected three finite numbers", self.gravity));

@@ -19,7 +19,7 @@ use fluvia_sim::particles::Acceleration;
 
 use crate::config::Config;
 use crate::integrate::State;
-use crate::loss::Scene;
+use crate::loss::Surroundings;
 use crate::net::{Network, Walls};
 use crate::step::World;
 use crate::{Error, Result};
@@ -53,6 +53,20 @@ pub struct PartFile {
     pub first: u64,
     /// How many frames it has.
     pub frames: usize,
+}
+
+impl PartFile {
+    /// Reads it.
+    ///
+    /// # Errors
+    /// As [`sequence::read_part`]; `File` if it has changed since it was found.
+    pub fn read(&self) -> Result<Part> {
+        let part = sequence::read_part(&self.path)?;
+        if (part.frames[0].number, part.frames.len()) != (self.first, self.frames) {
+            return Err(Error::file(&self.path, "has changed since it was opened"));
+        }
+        Ok(part)
+    }
 }
 
 impl DataSet {
@@ -99,7 +113,10 @@ impl DataSet {
             return Ok(());
         }
         let folder = self.parts.first().and_then(|part| part.path.parent()).unwrap_or(Path::new(""));
-        Err(Error::file(folder, format!("no part has {frames} frames or more, as a window needs")))
+        let longest = self.parts.iter().map(|part| part.frames).max().unwrap_or_default();
+        let message =
+            format!("parts of at most {longest} frames, expected one of {frames} or more for a window");
+        Err(Error::file(folder, message))
     }
 
     /// The windows of `frames` frames in each part.
@@ -155,9 +172,9 @@ impl Batch {
     }
 
     /// What a loss knows of it.
-    pub fn scene<'a>(&'a self, config: &'a Config) -> Scene<'a> {
-        let Batch { clouds, wall_position, wall_clouds, .. } = self;
-        Scene { clouds, wall_position, wall_clouds, config }
+    pub fn surroundings<'a>(&'a self, config: &'a Config) -> Surroundings<'a> {
+        let Batch { clouds, wall_position, wall_normal, wall_clouds, .. } = self;
+        Surroundings { clouds, wall_position, wall_normal, wall_clouds, config }
     }
 
     /// The wall particles, for a network.

@@ -8,8 +8,9 @@
 //!
 //! The paper sums where the published code takes means and multiplies with s, the inverse of the scale of the network's
 //! output: what Adam makes of the gradient does not depend on it but for its ε. φ counts as a constant. With velocities in
-//! the loss, L_k has the same term for Δt |v_i − v̂_i| / 2, half the way that the difference makes in a step; with
-//! compression, it has κ max(0, ρ_i / ρ_0 − 1), which no distance to the truth tells apart from a shift.
+//! the loss, L_k has the same term for Δt |v_i − v̂_i| / 2, half the way that the difference makes in a step, with the
+//! same φ_i; with compression, it has 1/N Σ_i κ max(0, ρ_i / ρ_0 − 1), which no distance to the truth tells from a shift; with walls,
+//! 1/N Σ_i λ max(0, 1/2 − d_i / r), for what is far off, as what has left through a wall, hardly moves Eq. 16.
 
 use fluvia_neighbors::Point;
 
@@ -17,8 +18,12 @@ use crate::config::Config;
 use crate::integrate::State;
 
 mod compression;
+mod near;
+mod walls;
 
-use compression::Compression;
+use compression::compression;
+use near::Near;
+use walls::penetration;
 
 /// s: the loss is of the order of 1.
 const SCALE: f64 = 128.0;
@@ -37,15 +42,19 @@ pub struct Loss {
     pub velocity: bool,
     /// κ: how much compression counts.
     pub compression: f32,
+    /// λ: how much particles in walls count.
+    pub walls: f32,
 }
 
 /// What a loss knows beside the states.
 #[derive(Clone, Copy, Debug)]
-pub struct Scene<'a> {
+pub struct Surroundings<'a> {
     /// Where the particles of each cloud start: clouds + 1 entries.
     pub clouds: &'a [usize],
     /// The walls, metres.
     pub wall_position: &'a [Point],
+    /// Their normals, into the fluid.
+    pub wall_normal: &'a [Point],
     /// Where the wall particles of each cloud start.
     pub wall_clouds: &'a [usize],
     /// Of this Δt and the particle radius count.
@@ -55,7 +64,7 @@ pub struct Scene<'a> {
 impl Default for Loss {
     /// That of the paper.
     fn default() -> Loss {
-        Loss { neighbor_scale: Some(40.0), exponent: 0.5, velocity: false, compression: 0.0 }
+        Loss { neighbor_scale: Some(40.0), exponent: 0.5, velocity: false, compression: 0.0, walls: 0.0 }
     }
 }
 
@@ -70,14 +79,14 @@ impl Loss {
         predicted: &[State],
         truth: &[State],
         neighbors: &[Vec<u32>],
-        scene: &Scene<'_>,
+        around: &Surroundings<'_>,
         by_predicted: &mut Vec<State>,
     ) -> f64 {
         assert_eq!(predicted.len(), truth.len(), "a true state for each step");
         assert_eq!(predicted.len(), neighbors.len(), "numbers of neighbours for each step");
         by_predicted.resize_with(predicted.len(), State::default);
-        let Scene { clouds, config, .. } = *scene;
-        let mut compression = (self.compression > 0.0).then(|| Compression::of(scene));
+        let Surroundings { clouds, config, .. } = *around;
+        let mut near = (self.compression > 0.0 || self.walls > 0.0).then(|| Near::of(around));
         let terms = (clouds.len() - 1) * predicted.len();
         let mut sum = 0.0;
         for (k, by) in by_predicted.iter_mut().enumerate() {
@@ -105,13 +114,22 @@ impl Loss {
                 }
                 sum += scale * cloud_sum;
             }
-            if let Some(compression) = &mut compression {
-                let weight = clouds.windows(2).flat_map(|cloud| {
+            let Some(near) = &mut near else { continue };
+            near.find(&predicted.position);
+            // All particles of a cloud alike.
+            let weights = |weight: f32| {
+                let of_cloud = |cloud: &[usize]| {
                     let count = cloud[1] - cloud[0];
-                    let scale = SCALE / (terms * count) as f64 * f64::from(self.compression);
+                    let scale = SCALE / (terms * count) as f64 * f64::from(weight);
                     std::iter::repeat_n(scale as f32, count)
-                });
-                sum += compression.add(&predicted.position, &weight.collect::<Vec<_>>(), &mut by.position);
+                };
+                clouds.windows(2).flat_map(of_cloud).collect::<Vec<f32>>()
+            };
+            if self.compression > 0.0 {
+                sum += compression(near, &predicted.position, &weights(self.compression), &mut by.position);
+            }
+            if self.walls > 0.0 {
+                sum += penetration(near, &predicted.position, &weights(self.walls), &mut by.position);
             }
         }
         sum
@@ -143,8 +161,8 @@ mod tests {
     }
 
     /// Two clouds without walls.
-    fn scene<'a>(clouds: &'a [usize; 3], config: &'a Config) -> Scene<'a> {
-        Scene { clouds, wall_position: &[], wall_clouds: &[0; 3], config }
+    fn around<'a>(clouds: &'a [usize; 3], config: &'a Config) -> Surroundings<'a> {
+        Surroundings { clouds, wall_position: &[], wall_normal: &[], wall_clouds: &[0; 3], config }
     }
 
     #[test]
@@ -156,19 +174,25 @@ mod tests {
         for loss in [
             Loss::default(),
             Loss { velocity: true, ..Loss::default() },
-            Loss { neighbor_scale: None, exponent: 1.0, velocity: true, compression: 0.0 },
+            Loss { neighbor_scale: None, exponent: 1.0, velocity: true, ..Loss::default() },
         ] {
             let value = |values: &[f32]| {
                 loss.evaluate(
                     &states(values),
                     &truth,
                     &neighbors,
-                    &scene(&clouds, &Config::default()),
+                    &around(&clouds, &Config::default()),
                     &mut Vec::new(),
                 )
             };
             let mut by = Vec::new();
-            loss.evaluate(&states(&values), &truth, &neighbors, &scene(&clouds, &Config::default()), &mut by);
+            loss.evaluate(
+                &states(&values),
+                &truth,
+                &neighbors,
+                &around(&clouds, &Config::default()),
+                &mut by,
+            );
             let gradient: Vec<f32> =
                 by[0].position.iter().chain(&by[0].velocity).flatten().copied().collect();
             for i in 0..18 {
@@ -197,7 +221,7 @@ mod tests {
             let velocity = vec![[0.0; 3]; 12];
             let state = [State { position: position.to_vec(), velocity: velocity.clone() }];
             let truth = [State { position: vec![[0.02, 0.03, 0.04]; 12], velocity }];
-            loss.evaluate(&state, &truth, &[vec![0; 12]], &scene(&clouds, &Config::default()), by)
+            loss.evaluate(&state, &truth, &[vec![0; 12]], &around(&clouds, &Config::default()), by)
         };
         let (mut without, mut with) = (Vec::new(), Vec::new());
         let more = value(&position, 0.5, &mut with) - value(&position, 0.0, &mut without);
@@ -228,7 +252,7 @@ mod tests {
                 &states(values),
                 &truth,
                 &neighbors,
-                &scene(&[0, 2, 3], &Config::default()),
+                &around(&[0, 2, 3], &Config::default()),
                 &mut Vec::new(),
             )
         };

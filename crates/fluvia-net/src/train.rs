@@ -23,6 +23,9 @@ mod validation;
 pub use schedule::Schedule;
 pub use validation::{Errors, Validation};
 
+/// The part of all updates so far that averaged weights reach back over is one in so many, until `Options::average` is less.
+const REACH: f32 = 10.0;
+
 /// How a step is made.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Options {
@@ -162,7 +165,7 @@ impl Trainer {
             unroll.states(),
             truth,
             unroll.neighbor_counts(),
-            &batch.scene(config),
+            &batch.surroundings(config),
             by_states,
         );
         let wanted = StepGradients {
@@ -193,8 +196,8 @@ impl Trainer {
         let rate = self.options.schedule.rate(self.adam.updates);
         self.adam.update(self.weights.values_mut(), &self.gradients, rate);
         if let (Some(averages), Some(decay)) = (&mut self.averages, self.options.average) {
-            // At first the mean of all weights so far, so that the beginning is soon forgotten.
-            let decay = decay.min(self.adam.updates as f32 / (self.adam.updates as f32 + 10.0));
+            // At first less: the average reaches back over a tenth of the updates, so that the beginning is soon forgotten.
+            let decay = decay.min(self.adam.updates as f32 / (self.adam.updates as f32 + REACH));
             let weights = self.weights.tensors();
             let weights: Vec<&[f32]> = weights.iter().map(|tensor| tensor.values).collect();
             average(averages, &weights, decay);

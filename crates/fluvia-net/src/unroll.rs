@@ -83,7 +83,7 @@ impl Unroll {
         self.states.get(1..).unwrap_or_default()
     }
 
-    /// The numbers of fluid neighbours of each particle at x* in each step, itself excluded.
+    /// The numbers of fluid neighbours of each particle at x* in each step, as [`Step::neighbor_counts`] has them.
     pub fn neighbor_counts(&self) -> &[Vec<u32>] {
         &self.neighbors
     }

@@ -149,11 +149,24 @@ fn damaged_and_missing_files() {
 }
 
 #[test]
+fn a_part_that_changes_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = write_set(folder.path());
+    // All parts become copies of the last, whose frames have other numbers.
+    let last = std::fs::read(&data.parts().last().unwrap().path).unwrap();
+    for part in data.parts() {
+        std::fs::write(&part.path, &last).unwrap();
+    }
+    let error = Loader::start(&data, sampling(), 0).unwrap().take().unwrap_err().to_string();
+    assert!(error.contains("has changed"), "{error}");
+}
+
+#[test]
 fn windows_longer_than_parts() {
     let folder = tempfile::tempdir().unwrap();
     let data = write_set(folder.path());
     let error = Loader::start(&data, Sampling { steps: 9, ..sampling() }, 0).unwrap_err().to_string();
-    assert!(error.contains("10 frames"), "{error}");
+    assert!(error.contains("at most 9 frames") && error.contains("10 or more"), "{error}");
 }
 
 fn fixtures() -> PathBuf {

@@ -9,7 +9,7 @@ use anyhow::{Context, Result, bail};
 use cconv::{Kernel, PositionGradient, Precision};
 use fluvia_net::config::Config;
 use fluvia_net::integrate::State;
-use fluvia_net::loss::{Loss, Scene};
+use fluvia_net::loss::{Loss, Surroundings};
 use fluvia_net::net::{Activations, Memory, Network, Walls};
 use fluvia_net::step::{Step, StepGradients, World};
 use fluvia_net::unroll::{Storage, Unroll};
@@ -226,9 +226,15 @@ impl Bench {
                     let truth = vec![state.clone(); TRAIN_STEPS];
                     let (neighbors, config) = (unroll.neighbor_counts(), network.config());
                     // No walls: only compression asks for them.
-                    let scene = Scene { clouds, wall_position: &[], wall_clouds: &[], config };
+                    let around = Surroundings {
+                        clouds,
+                        wall_position: &[],
+                        wall_normal: &[],
+                        wall_clouds: &[],
+                        config,
+                    };
                     let mut by_states = Vec::new();
-                    Loss::default().evaluate(unroll.states(), &truth, neighbors, &scene, &mut by_states);
+                    Loss::default().evaluate(unroll.states(), &truth, neighbors, &around, &mut by_states);
                     let wanted = StepGradients {
                         tensors: Some(tensors),
                         positions: PositionGradient::Stop,

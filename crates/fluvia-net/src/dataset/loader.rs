@@ -1,14 +1,13 @@
 //! Reading ahead: one thread reads, decompresses and puts together batches, another takes them.
 
-use std::path::PathBuf;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread::JoinHandle;
 
 use fluvia_neighbors::Point;
-use fluvia_sim::frames::sequence::{Part, read_part};
+use fluvia_sim::frames::sequence::Part;
 
 use super::order::{Order, below, stream};
-use super::{Batch, DataSet, FreeFall, Noise, Rotation};
+use super::{Batch, DataSet, FreeFall, Noise, PartFile, Rotation};
 use crate::{Error, Result};
 
 /// Batches that are ready before they are asked for.
@@ -90,10 +89,10 @@ impl Loader {
         data.check_windows(sampling.frames())?;
         let windows = data.windows(sampling.frames());
         let order = Order::new(sampling.seed, windows, sampling.group);
-        let paths = data.parts().iter().map(|part| part.path.clone()).collect();
+        let files = data.parts().to_vec();
         let (sender, batches) = sync_channel(AHEAD);
         let thread = std::thread::spawn(move || {
-            let mut reader = Reader { order, paths, sampling, position, skipped: Vec::new() };
+            let mut reader = Reader { order, files, sampling, position, skipped: Vec::new() };
             // Ends when nobody takes batches any more.
             if let Err(error) = reader.run(&sender) {
                 let _ = sender.send(Err(error));
@@ -105,7 +104,7 @@ impl Loader {
     /// The next batch.
     ///
     /// # Errors
-    /// As [`read_part`] for a damaged part, unless those are left out; `Parameter` if nothing is left.
+    /// As [`PartFile::read`] for a damaged part, unless those are left out; `Parameter` if nothing is left.
     pub fn take(&mut self) -> Result<Loaded> {
         self.batches.recv().unwrap_or_else(|_| Err(Error::Parameter("the data loader has ended".into())))
     }
@@ -125,7 +124,7 @@ impl Drop for Loader {
 /// What the thread works with.
 struct Reader {
     order: Order,
-    paths: Vec<PathBuf>,
+    files: Vec<PartFile>,
     sampling: Sampling,
     position: u64,
     skipped: Vec<String>,
@@ -189,16 +188,16 @@ impl Reader {
 
     /// The parts that windows come from, each at its index.
     fn read(&mut self, wanted: impl Iterator<Item = usize>) -> Result<Vec<Option<Part>>> {
-        let mut parts: Vec<Option<Part>> = vec![None; self.paths.len()];
-        let mut tried = vec![false; self.paths.len()];
+        let mut parts: Vec<Option<Part>> = vec![None; self.files.len()];
+        let mut tried = vec![false; self.files.len()];
         for k in wanted {
             if std::mem::replace(&mut tried[k], true) {
                 continue;
             }
-            match read_part(&self.paths[k]) {
+            match self.files[k].read() {
                 Ok(part) => parts[k] = Some(part),
                 Err(error) if self.sampling.damaged == Damaged::Skip => self.skipped.push(error.to_string()),
-                Err(error) => return Err(error.into()),
+                Err(error) => return Err(error),
             }
         }
         Ok(parts)

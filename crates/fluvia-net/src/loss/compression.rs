@@ -6,85 +6,46 @@
 //! dE/dx_i = V Σ_j (a_i + a_j) ∇W(x_i − x_j) + a_i Σ_b V_b ∇W(x_i − x_b)
 //!                                                         a_i: w_i where particle i is compressed, 0 elsewhere
 //! ```
-//!
-//! A particle at a wall has the density of the wall beside its own and is pushed away from it: inwards, as long as it is
-//! in front of the wall.
 
-use fluvia_neighbors::{Grids, Neighbors, Options, Point, Radius};
-use fluvia_sim::kernel::{CubicSpline, SUPPORT_IN_RADII, wall_volumes};
-use fluvia_sim::metrics::particle_volume;
+use fluvia_neighbors::Point;
 use rayon::prelude::*;
 
-use super::Scene;
+use super::near::{Near, apart};
 
-/// What does not change from step to step.
-pub(super) struct Compression<'a> {
-    scene: &'a Scene<'a>,
-    kernel: CubicSpline,
-    /// Of a particle at rest, cubic metres.
-    volume: f32,
-    wall_volume: Vec<f32>,
-    walls: Grids,
-}
-
-impl<'a> Compression<'a> {
-    pub fn of(scene: &'a Scene<'a>) -> Compression<'a> {
-        let Scene { wall_position, wall_clouds, config, .. } = scene;
-        let kernel = CubicSpline::new(SUPPORT_IN_RADII * config.particle_radius);
-        let volumes =
-            wall_clouds.windows(2).map(|wall| wall_volumes(&wall_position[wall[0]..wall[1]], &kernel));
-        let wall_volume = volumes.collect::<Vec<_>>().concat();
-        let mut walls = Grids::new();
-        walls.build(wall_position, wall_clouds, kernel.support());
-        Compression { scene, kernel, volume: particle_volume(config.particle_radius), wall_volume, walls }
-    }
-
-    /// E of particles with weights `weight`; its derivatives by the positions are added to `by_position`.
-    pub fn add(&mut self, position: &[Point], weight: &[f32], by_position: &mut [Point]) -> f64 {
-        let Compression { scene: Scene { clouds, wall_position, .. }, kernel, volume, wall_volume, walls } =
-            self;
-        let (radius, options) = (Radius::Uniform(kernel.support()), Options::default());
-        let (mut fluid, mut of_fluid, mut of_walls) =
-            (Grids::new(), Neighbors::default(), Neighbors::default());
-        fluid.build(position, clouds, kernel.support());
-        fluid.search(position, clouds, radius, &options, &mut of_fluid);
-        walls.search(position, clouds, radius, &options, &mut of_walls);
-        let excess = |i: usize| {
-            let value = |x: Point| kernel.value(apart(position[i], x).1);
-            let sum: f32 = of_fluid.row(i).iter().map(|&j| value(position[j as usize])).sum();
-            let of_walls = of_walls.row(i).iter().map(|&b| b as usize);
-            let from_walls: f32 = of_walls.map(|b| wall_volume[b] * value(wall_position[b])).sum();
-            (*volume * sum + from_walls - 1.0).max(0.0)
+/// E of particles that neighbours were found for, with weights `weight`; its derivatives by the positions are added to
+/// `by_position`.
+pub fn compression(near: &Near<'_>, position: &[Point], weight: &[f32], by_position: &mut [Point]) -> f64 {
+    let Near { around, kernel, volume, wall_volume, .. } = near;
+    let wall_position = around.wall_position;
+    let excess = |i: usize| {
+        let value = |x: Point| kernel.value(apart(position[i], x).1);
+        let sum: f32 = near.fluid(i).map(|j| value(position[j])).sum();
+        let from_walls: f32 = near.walls(i).map(|b| wall_volume[b] * value(wall_position[b])).sum();
+        (volume * sum + from_walls - 1.0).max(0.0)
+    };
+    let excess: Vec<f32> = (0..position.len()).into_par_iter().map(excess).collect();
+    let slope = |i: usize| if excess[i] > 0.0 { weight[i] } else { 0.0 };
+    by_position.par_iter_mut().enumerate().for_each(|(i, by)| {
+        let mut add = |factor: f32, x: Point| {
+            let (d, distance) = apart(position[i], x);
+            let factor = factor * kernel.gradient_factor(distance);
+            by.iter_mut().zip(d).for_each(|(by, d)| *by += factor * d);
         };
-        let excess: Vec<f32> = (0..position.len()).into_par_iter().map(excess).collect();
-        let slope = |i: usize| if excess[i] > 0.0 { weight[i] } else { 0.0 };
-        by_position.par_iter_mut().enumerate().for_each(|(i, by)| {
-            let mut add = |factor: f32, x: Point| {
-                let (d, distance) = apart(position[i], x);
-                let factor = factor * kernel.gradient_factor(distance);
-                by.iter_mut().zip(d).for_each(|(by, d)| *by += factor * d);
-            };
-            for j in of_fluid.row(i).iter().map(|&j| j as usize) {
-                add(*volume * (slope(i) + slope(j)), position[j]);
-            }
-            for b in of_walls.row(i).iter().map(|&b| b as usize) {
-                add(wall_volume[b] * slope(i), wall_position[b]);
-            }
-        });
-        excess.iter().zip(weight).map(|(&excess, &weight)| f64::from(weight * excess)).sum()
-    }
-}
-
-/// a − b and its length.
-fn apart(a: Point, b: Point) -> (Point, f32) {
-    let d: Point = std::array::from_fn(|axis| a[axis] - b[axis]);
-    (d, d.iter().map(|x| x * x).sum::<f32>().sqrt())
+        for j in near.fluid(i) {
+            add(volume * (slope(i) + slope(j)), position[j]);
+        }
+        for b in near.walls(i) {
+            add(wall_volume[b] * slope(i), wall_position[b]);
+        }
+    });
+    excess.iter().zip(weight).map(|(&excess, &weight)| f64::from(weight * excess)).sum()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::config::Config;
+    use crate::loss::Surroundings;
 
     /// E and its derivatives, of clouds with walls.
     fn compression(
@@ -93,9 +54,13 @@ mod tests {
         (wall_position, wall_clouds): (&[Point], &[usize]),
         weight: &[f32],
     ) -> (f64, Vec<Point>) {
-        let scene = Scene { clouds, wall_position, wall_clouds, config: &Config::default() };
+        let wall_normal = vec![[0.0; 3]; wall_position.len()];
+        let config = &Config::default();
+        let around = Surroundings { clouds, wall_position, wall_normal: &wall_normal, wall_clouds, config };
+        let mut near = Near::of(&around);
+        near.find(position);
         let mut by = vec![[1.0; 3]; position.len()];
-        let value = Compression::of(&scene).add(position, weight, &mut by);
+        let value = super::compression(&near, position, weight, &mut by);
         (value, by.into_iter().map(|by| by.map(|d| d - 1.0)).collect())
     }
 
@@ -142,7 +107,7 @@ mod tests {
         let of_two = (&[][..], &[0, 0, 0][..]);
         assert_eq!(compression(&twice, &[0, 64, 128], of_two, &[1.0; 128]).0, 0.0);
         assert!(compression(&twice, &[0, 128], nowhere, &[1.0; 128]).0 > 10.0);
-        // A particle in a wall is pushed away from it.
+        // A particle at a wall is pushed away from it.
         let wall: Vec<Point> =
             (0..121).map(|k| [0.03 * (k % 11) as f32, 0.0, 0.03 * (k / 11) as f32]).collect();
         let (value, by) = compression(&[[0.15, 0.01, 0.15]], &[0, 1], (&wall, &[0, 121]), &[1.0]);

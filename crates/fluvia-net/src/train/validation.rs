@@ -1,7 +1,6 @@
 //! How good a network is in the middle of a training: its loss and its errors on a fixed choice of windows.
 
 use cconv::Kernel;
-use fluvia_sim::frames::sequence::read_part;
 
 use super::Options;
 use crate::Result;
@@ -47,7 +46,7 @@ impl Validation {
             let mut loaded = None;
             while let Some(window) = chosen.next_if(|&window| window < first + count) {
                 if loaded.is_none() {
-                    loaded = Some(read_part(&part.path)?);
+                    loaded = Some(part.read()?);
                 }
                 let Some(part) = &loaded else { continue };
                 batch.push(part, window - first, &Rotation::NONE, sampling.viscosity, sampling.reach);
@@ -92,8 +91,8 @@ impl Validation {
                 }
             }
             let part = (batch.clouds.len() - 1) as f64 / windows;
-            let (neighbors, scene) = (unroll.neighbor_counts(), batch.scene(config));
-            let loss = options.loss.evaluate(states, &batch.truth, neighbors, &scene, &mut Vec::new());
+            let (neighbors, around) = (unroll.neighbor_counts(), batch.surroundings(config));
+            let loss = options.loss.evaluate(states, &batch.truth, neighbors, &around, &mut Vec::new());
             errors.loss += part * loss;
         }
         Ok(errors)

@@ -105,6 +105,8 @@ struct Record {
     dt: f32,
     gravity: [f32; 3],
     viscosity: f32,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    viscosity_range: Option<[f32; 2]>,
     density: f32,
     integration: IntegrationRecord,
     training: Option<String>,
@@ -181,6 +183,7 @@ impl Record {
             dt: config.dt,
             gravity: config.gravity,
             viscosity: config.viscosity,
+            viscosity_range: config.viscosity_range,
             density: config.density,
             integration: match config.integration {
                 Integration::Paper => IntegrationRecord::Paper,
@@ -199,6 +202,7 @@ impl Record {
             dt: self.dt,
             gravity: self.gravity,
             viscosity: self.viscosity,
+            viscosity_range: self.viscosity_range,
             density: self.density,
             output_scale: self.network.output_scale,
             interpolation: match self.network.interpolation {

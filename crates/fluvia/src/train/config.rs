@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use cconv::{Interpolation, PositionGradient, Window};
 use fluvia_net::adam;
 use fluvia_net::config::{Config as NetworkConfig, Integration};
@@ -14,12 +14,14 @@ use fluvia_net::weights::Weights;
 use fluvia_sim::frames::sequence;
 use serde::{Deserialize, Serialize};
 
+mod check;
+
 use super::names::{IntegrationName, InterpolationName, WindowName};
 use super::shipped;
 use crate::options::PrecisionName;
 use crate::record::or_shipped;
 
-/// A configuration file. What a file does not say is as in the published training.
+/// A configuration file. What a file does not say is as in the published training, but for the integration.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Config {
@@ -69,7 +71,7 @@ impl Default for Network {
     fn default() -> Network {
         let NetworkConfig { dt, gravity, .. } = NetworkConfig::default();
         Network {
-            integration: IntegrationName::Paper,
+            integration: IntegrationName::Velocity,
             first: 32,
             hidden: vec![64, 64],
             interpolation: InterpolationName::Linear,
@@ -90,16 +92,19 @@ pub struct LossSettings {
     pub neighbors: f32,
     /// γ.
     pub exponent: f32,
-    /// Whether velocities count beside positions.
-    pub velocity: bool,
+    /// Whether velocities count beside positions; as a rule where the network corrects them.
+    pub velocity: Option<bool>,
     /// How much compression counts.
     pub compression: f32,
+    /// How much particles in walls count.
+    pub walls: f32,
 }
 
 impl Default for LossSettings {
     fn default() -> LossSettings {
-        let Loss { neighbor_scale, exponent, velocity, compression } = Loss::default();
-        LossSettings { neighbors: neighbor_scale.unwrap_or_default(), exponent, velocity, compression }
+        let Loss { neighbor_scale, exponent, compression, walls, .. } = Loss::default();
+        let neighbors = neighbor_scale.unwrap_or_default();
+        LossSettings { neighbors, exponent, velocity: None, compression, walls }
     }
 }
 
@@ -249,80 +254,6 @@ impl Config {
         Ok(config)
     }
 
-    /// Changes the number of updates, and the schedule in proportion.
-    pub fn set_updates(&mut self, updates: u64) {
-        let old = std::mem::replace(&mut self.training.updates, updates);
-        let scaled = |at: u64| (u128::from(at) * u128::from(updates) / u128::from(old.max(1))) as u64;
-        match &mut self.rate {
-            Rate::Steps { at, .. } => at.iter_mut().for_each(|at| *at = scaled(*at)),
-            Rate::Cosine { warmup, .. } => *warmup = scaled(*warmup),
-            // Theirs are parts of all updates.
-            Rate::Paper {} | Rate::Published {} => {}
-        }
-    }
-
-    /// Makes sure that every value can be what it is.
-    ///
-    /// # Errors
-    /// One line that names the key, what it is and what was expected.
-    pub fn check(&self) -> Result<()> {
-        let Config { network, loss, training, optimizer, validation, .. } = self;
-        let counts = [
-            ("network.first", network.first as u64),
-            ("training.updates", training.updates),
-            ("training.batch", training.batch as u64),
-            ("training.steps", training.steps as u64),
-            ("training.group", training.group as u64),
-            ("validation.every", validation.every),
-            ("validation.windows", validation.windows as u64),
-        ];
-        if let Some((key, _)) = counts.into_iter().find(|(_, count)| *count == 0) {
-            bail!("`{key}`: 0, expected at least 1");
-        }
-        if network.hidden.contains(&0) {
-            bail!("`network.hidden`: {:?}, expected at least 1 channel a layer", network.hidden);
-        }
-        let (mut positive, mut parts) = (vec![("loss.exponent", loss.exponent)], Vec::new());
-        positive.push(("network.dt", network.dt));
-        positive.push(("optimizer.epsilon", optimizer.epsilon));
-        match self.rate {
-            Rate::Steps { highest, factor, .. } => {
-                positive.extend([("rate.highest", highest), ("rate.factor", factor)]);
-            }
-            Rate::Cosine { highest, warmup } => {
-                positive.push(("rate.highest", highest));
-                if warmup >= training.updates {
-                    let updates = training.updates;
-                    bail!("`rate.warmup`: {warmup}, expected below the {updates} updates");
-                }
-            }
-            Rate::Paper {} | Rate::Published {} => {}
-        }
-        if let Some((key, value)) = positive.iter().find(|(_, value)| !(value.is_finite() && *value > 0.0)) {
-            bail!("`{key}`: {value}, expected a number above 0");
-        }
-        parts.extend([("optimizer.beta1", optimizer.beta1), ("optimizer.beta2", optimizer.beta2)]);
-        parts.push(("training.average", training.average));
-        if let Some((key, value)) = parts.iter().find(|(_, value)| !(0.0..1.0).contains(value)) {
-            bail!("`{key}`: {value}, expected a number from 0 to below 1");
-        }
-        let at_least_zero = [
-            ("loss.neighbors", loss.neighbors),
-            ("loss.compression", loss.compression),
-            ("training.position_noise", training.position_noise),
-            ("training.velocity_noise", training.velocity_noise),
-        ];
-        if let Some((key, value)) = at_least_zero.iter().find(|(_, x)| !(x.is_finite() && *x >= 0.0)) {
-            bail!("`{key}`: {value}, expected a number of at least 0");
-        }
-        if loss.velocity && network.integration == IntegrationName::Paper {
-            bail!(
-                "`loss.velocity`: true, but with `network.integration` \"paper\" velocities follow from positions"
-            );
-        }
-        Ok(())
-    }
-
     /// What the network is made for.
     pub fn made_for(&self) -> NetworkConfig {
         let Network { integration, viscosity, dt, gravity, .. } = &self.network;
@@ -360,8 +291,9 @@ impl Config {
             loss: Loss {
                 neighbor_scale: (loss.neighbors > 0.0).then_some(loss.neighbors),
                 exponent: loss.exponent,
-                velocity: loss.velocity,
+                velocity: loss.velocity.unwrap_or(self.network.integration == IntegrationName::Velocity),
                 compression: loss.compression,
+                walls: loss.walls,
             },
             schedule: match &self.rate {
                 Rate::Paper {} => Schedule::paper(training.updates),
@@ -406,11 +338,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_a_file_does_not_say_is_published() {
+    fn what_a_file_does_not_say_is_published_but_for_the_integration() {
         let config = Config::parse("").unwrap();
         assert_eq!(config, Config::default());
         assert_eq!((config.training.updates, config.training.batch), (50_000, 16));
         assert_eq!(config.options().schedule, Schedule::published(50_000));
+        assert_eq!(config.made_for().integration, Integration::Velocity);
+        assert!(config.options().loss.velocity);
         // As it is recorded.
         let value = serde_json::to_value(&config).unwrap();
         assert_eq!(serde_json::from_value::<Config>(value).unwrap(), config);
@@ -419,6 +353,12 @@ mod tests {
     #[test]
     fn the_shipped_files_are_settings() {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/configs");
+        for (name, exponent) in [("paper", 0.5), ("published", 0.5), ("naive-loss", 1.0)] {
+            let config = Config::load(name).unwrap();
+            assert_eq!(config.made_for().integration, Integration::Paper);
+            let found = config.options().loss;
+            assert_eq!(found, Loss { exponent, neighbor_scale: found.neighbor_scale, ..Loss::default() });
+        }
         let mut files: Vec<String> = std::fs::read_dir(&folder)
             .unwrap()
             .map(|entry| entry.unwrap().path().file_stem().unwrap().to_string_lossy().into_owned())
@@ -468,7 +408,11 @@ mod tests {
                 "[training]\nupdates = 9\n[rate]\nkind = \"cosine\"\nhighest = 1.0\nwarmup = 9",
                 vec!["`rate.warmup`", "below"],
             ),
-            ("[loss]\nvelocity = true", vec!["`loss.velocity`", "paper"]),
+            ("[network]\nintegration = \"paper\"\n[loss]\nvelocity = true", vec!["`loss.velocity`", "paper"]),
+            (
+                "[rate]\nkind = \"steps\"\nhighest = 1.0\nfactor = 0.5\nat = [1000, 50000]",
+                vec!["`rate.at`", "50000", "below"],
+            ),
             ("[training]\nposition_noise = -1.0", vec!["`training.position_noise`", "at least 0"]),
             ("[network]\nwindow = \"cubic\"", vec!["line 2", "cubic", "triangular"]),
             ("[network]\nhidden = [64, 0]", vec!["`network.hidden`"]),
