@@ -16,7 +16,10 @@ use fluvia_sim::frames::{self, sequence};
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use crate::evaluate::{self, truth::find};
+use crate::evaluate::{
+    self,
+    truth::{VALID, find},
+};
 use crate::interrupt;
 use crate::options::{PrecisionName, thread_pool, threads};
 use crate::plots::{range, short};
@@ -81,7 +84,7 @@ pub struct Args {
     /// Threads; all cores if not given.
     #[arg(long, value_name = "T", value_parser = threads)]
     threads: Option<usize>,
-    /// Print a JSON object, not a table.
+    /// Print JSON, not a table.
     #[arg(long)]
     json: bool,
 }
@@ -105,9 +108,14 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
     if let Some((k, name)) = names.iter().enumerate().find(|(k, name)| names[..*k].contains(name)) {
         bail!("CONFIG {}: two variants are called {name}", k + 1);
     }
+    let valid = args.data.join(VALID);
+    if !valid.is_dir() || sequence::find(&valid)?.is_empty() {
+        bail!("{}: no sequences, expected those that variants are compared on", valid.display());
+    }
     // All that can be wrong shows before the first training.
-    for config in &configs {
-        evaluate::check(config.first_weights(), &args.data, report)?;
+    for (config, name) in configs.iter().zip(&names) {
+        evaluate::check(config.first_weights(), &valid, report)?;
+        train::check(&plan(args, config.clone(), 0, args.out.join(name).join(seed_folder(0))), report)?;
     }
     std::fs::create_dir_all(&args.out).with_context(|| args.out.display().to_string())?;
     let interrupted = interrupt::watch()?;
@@ -116,15 +124,16 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
             names.iter().map(|name| Variant { name: name.clone(), figures: Vec::new() }).collect();
         // All variants with a seed, then all with the next: what was stopped is a table of fewer seeds.
         for seed in 0..args.seeds {
-            for (config, variant) in configs.iter().zip(&mut variants) {
-                let out = args.out.join(&variant.name).join(format!("seed_{seed}"));
-                report.note(format_args!("{}, seed {seed}", variant.name));
+            for (k, config) in configs.iter().enumerate() {
+                let out = args.out.join(&names[k]).join(seed_folder(seed));
+                report.note(format_args!("{}, seed {seed}", names[k]));
                 let plan = plan(args, config.clone(), seed, out);
                 let Some(trained) = train::train(&plan, &interrupted, report)? else { return Ok(None) };
                 let Some(figures) = figures(args, &plan, &trained, &interrupted, report)? else {
                     return Ok(None);
                 };
-                variant.figures.push(figures);
+                variants[k].figures.push(figures);
+                write(&args.out, &variants)?;
             }
         }
         Ok(Some(variants))
@@ -133,11 +142,19 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
         report.note("stopped; the same command goes on");
         return Ok(interrupt::exit_code());
     };
-    let table = markdown(&variants);
-    frames::write_json(&args.out.join(JSON), &variants)?;
-    frames::write_text(&args.out.join(TABLE), &(table.clone() + "\n"))?;
-    report.result(if args.json { json!(variants).to_string() } else { table })?;
+    report.result(if args.json { json!(variants).to_string() } else { markdown(&variants) })?;
     Ok(ExitCode::SUCCESS)
+}
+
+/// Writes what there is so far.
+fn write(out: &Path, variants: &[Variant]) -> Result<()> {
+    frames::write_json(&out.join(JSON), &variants)?;
+    Ok(frames::write_text(&out.join(TABLE), &(markdown(variants) + "\n"))?)
+}
+
+/// Where a training with a seed is, in the folder of its variant.
+fn seed_folder(seed: u64) -> String {
+    format!("seed_{seed}")
 }
 
 /// A training that goes on if it has begun.
@@ -167,7 +184,7 @@ fn figures(
 ) -> Result<Option<Value>> {
     let path = plan.out.join(FIGURES);
     let (bytes, source) = read_source(&trained.weights)?;
-    let of = json!({ "weights_sha256": source.sha256, "data": sizes(&args.data)? });
+    let of = json!({ "weights_sha256": source.sha256, "data": sizes(&args.data.join(VALID))? });
     if path.exists() {
         let mut old: Value = frames::read_json(&path)?;
         if old["of"] == of {
@@ -175,7 +192,7 @@ fn figures(
         }
     }
     let weights = weights::from_bytes(&trained.weights, bytes)?;
-    let Some(figures) = evaluate::of_weights(weights, &args.data, interrupted, report)? else {
+    let Some(figures) = evaluate::of_weights(weights, &args.data.join(VALID), interrupted, report)? else {
         return Ok(None);
     };
     let figures = serde_json::to_value(figures)?;
@@ -197,10 +214,12 @@ fn sizes(data: &Path) -> Result<Vec<u64>> {
 
 /// Means over seeds with half of their range, and in brackets what the paper has.
 fn markdown(variants: &[Variant]) -> String {
-    let seeds = variants.first().map_or(0, |variant| variant.figures.len());
-    let means = match seeds {
+    let counts = || variants.iter().map(|variant| variant.figures.len());
+    let (fewest, most) = (counts().min().unwrap_or_default(), counts().max().unwrap_or_default());
+    let means = match most {
+        _ if fewest < most => format!("Means of up to {most} seeds ± half of their range, not done yet"),
         1 => "One seed".to_owned(),
-        _ => format!("Means of {seeds} seeds ± half of their range"),
+        _ => format!("Means of {most} seeds ± half of their range"),
     };
     let mut lines = vec![format!("{means}, mm; in brackets the paper's.")];
     lines.push(String::new());

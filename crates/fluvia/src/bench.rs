@@ -13,7 +13,7 @@ use fluvia_net::loss::{Loss, Surroundings};
 use fluvia_net::net::{Activations, Memory, Network, Walls};
 use fluvia_net::step::{Step, StepGradients, World};
 use fluvia_net::unroll::{Storage, Unroll};
-use fluvia_net::weights::{self, Weights};
+use fluvia_net::weights::Weights;
 use fluvia_sim::frames::npz;
 use fluvia_sim::metrics::Bounds;
 use fluvia_sim::particles::{Acceleration, Boundary, Particles};
@@ -21,6 +21,7 @@ use serde::Serialize;
 
 use crate::options::{PrecisionName, thread_pool, threads};
 use crate::report::Report;
+use crate::trained;
 
 /// Options of `fluvia bench`.
 #[derive(clap::Args)]
@@ -30,13 +31,13 @@ grid of the walls, which do not move, is made once before. The last line printed
 median in milliseconds.
 
 Example:
-  fluvia bench --state state_6k.npz --weights pretrained_model_weights.pt --steps 20")]
+  fluvia bench --state state_6k.npz --steps 20")]
 pub struct Args {
     /// The state to start from (npz).
     #[arg(long, value_name = "FILE")]
     state: PathBuf,
-    /// Weights of the network: .pt, .h5 or .safetensors.
-    #[arg(long, value_name = "FILE")]
+    /// Weights of the network: a file (.pt, .h5 or .safetensors), or the name of shipped ones (default, viscosity).
+    #[arg(long, value_name = "FILE", default_value = trained::DEFAULT)]
     weights: PathBuf,
     /// Repetitions, after one that does not count.
     #[arg(long, value_name = "K", default_value = "20")]
@@ -92,7 +93,7 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
         if matches!(args.stage, Stage::Neighbors) && args.precision != PrecisionName::F32 {
             bail!("--precision: the search multiplies nothing, expected it with --stage step or train-step");
         }
-        let weights = weights::load(&args.weights)?;
+        let weights = trained::load(&args.weights)?.0;
         let copies = (args.tile.get(), args.batch.get());
         let (particles, boundary) = load(&args.state, &weights.config, copies)?;
         let mut bench = Bench::new(weights, args, &particles, &boundary)?;

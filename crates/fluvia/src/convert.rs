@@ -7,6 +7,7 @@ use anyhow::{Result, bail};
 use fluvia_net::weights;
 
 use crate::report::Report;
+use crate::trained;
 
 /// Options of `fluvia convert`.
 #[derive(clap::Args)]
@@ -14,7 +15,7 @@ use crate::report::Report;
 Example:
   fluvia convert pretrained_model_weights.pt published.safetensors")]
 pub struct Args {
-    /// The weights to read: .pt, .h5 or .safetensors.
+    /// The weights to read: a file (.pt, .h5 or .safetensors), or the name of shipped ones (default, viscosity).
     input: PathBuf,
     /// The file to write; its name ends in .safetensors.
     output: PathBuf,
@@ -31,7 +32,7 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
     if args.output.exists() && !args.overwrite {
         bail!("{output}: exists already, expected --overwrite or another name");
     }
-    let weights = weights::load(&args.input)?;
+    let weights = trained::load(&args.input)?.0;
     weights::save_safetensors(&args.output, &weights)?;
     report.note(format_args!("{output}: {} parameters", weights.parameters()));
     Ok(ExitCode::SUCCESS)

@@ -11,7 +11,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use anyhow::{Context, Result, bail};
 use cconv::Kernel;
 use fluvia_net::evaluate::{Judged, Rolled, StartErrors, Truth, lone_acceleration};
-use fluvia_net::weights::{self, Weights};
+use fluvia_net::weights::Weights;
 use fluvia_sim::particles::Boundary;
 use fluvia_sim::scene::{Emitter, Material, Setup};
 use indicatif::ProgressBar;
@@ -20,6 +20,7 @@ use crate::curves::Curves;
 use crate::options::{PrecisionName, labelled, positive, substep, thread_pool, threads};
 use crate::report::Report;
 use crate::solvers::{Choice, SolverName};
+use crate::trained;
 use figures::Figures;
 use truth::Recorded;
 
@@ -36,7 +37,8 @@ DIR is a data set (its folder valid if it has one), a sequence (valid/sim_0206) 
 and two frames (n+1, n+2) start from every fifth true frame; d of Eq. 18 is that of a rollout from the first frame, every
 fifth frame. Curves and pictures go to --out.")]
 pub struct Args {
-    /// Weights of a network: .pt, .h5 or .safetensors; LABEL=FILE names them. May be given several times.
+    /// Weights of a network: a file (.pt, .h5 or .safetensors), or the name of shipped ones (default, viscosity); LABEL=FILE
+    /// names them. May be given several times. The shipped ones if there is no --solver either.
     #[arg(long, value_name = "FILE")]
     weights: Vec<String>,
     /// A solver that needs no weights. May be given several times.
@@ -49,7 +51,7 @@ pub struct Args {
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// The format of the network's large matrix products.
-    #[arg(long, value_enum, default_value_t = PrecisionName::F32, requires = "weights")]
+    #[arg(long, value_enum, default_value_t = PrecisionName::F32)]
     precision: PrecisionName,
     /// The step of dfsph and pbf, seconds: an interval is cut into equal parts that are no longer.
     #[arg(long, value_name = "SECONDS", value_parser = positive, conflicts_with = "solver_dt_max", requires = "solver")]
@@ -112,7 +114,7 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
     thread_pool(args.threads)?.install(|| {
         // All that can be wrong with what was asked for shows before the first step.
         let mut truths = open(&args.data, args.dt, report)?.collect::<Result<Vec<_>>>()?;
-        let candidates = candidates(args, &truths)?;
+        let candidates = candidates(args, &truths, report)?;
         let frames: u64 = truths.iter().map(|truth| truth.frames().end - truth.frames().start).sum();
         let bar = report.bar(frames * (1 + candidates.len() as u64));
         let sequences = truths.iter_mut().map(|truth| measure(truth, &bar)).collect::<Result<Vec<_>>>()?;
@@ -134,11 +136,17 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
 }
 
 /// The solvers that were asked for, all of which can honour all sequences.
-fn candidates(args: &Args, truths: &[Recorded]) -> Result<Vec<Candidate>> {
+fn candidates(args: &Args, truths: &[Recorded], report: &Report) -> Result<Vec<Candidate>> {
     let mut candidates = Vec::new();
-    for text in &args.weights {
+    let default = [trained::DEFAULT.to_owned()];
+    let networks: &[String] =
+        if args.solver.is_empty() && args.weights.is_empty() { &default } else { &args.weights };
+    if networks.is_empty() && args.precision != PrecisionName::F32 {
+        bail!("--precision: these solvers have none, expected it with --weights");
+    }
+    for text in networks {
         let (label, path) = labelled(text);
-        let choice = Choice::Network(Box::new(weights::load(path)?), args.precision);
+        let choice = Choice::Network(Box::new(trained::load(path)?.0), args.precision);
         candidates.push(Candidate { label: label.into(), choice });
     }
     for solver in &args.solver {
@@ -146,15 +154,16 @@ fn candidates(args: &Args, truths: &[Recorded]) -> Result<Vec<Candidate>> {
         let choice = solver.choice(substep(args.solver_dt, args.solver_dt_max, shortest)?);
         candidates.push(Candidate { label: choice.name().into(), choice });
     }
-    if candidates.is_empty() {
-        bail!("nothing to evaluate: expected --weights or --solver");
-    }
     for (k, Candidate { label, choice }) in candidates.iter().enumerate() {
         if candidates[..k].iter().any(|other| other.label == *label) {
             bail!("two solvers are called {label}: LABEL=FILE names weights");
         }
         for truth in truths {
             choice.check(truth.path(), &truth.setup)?;
+            let materials = truth.setup.emitters.iter().map(|emitter| emitter.material);
+            if let Some(warning) = choice.warning(truth.path(), materials) {
+                report.warning(warning);
+            }
         }
     }
     Ok(candidates)

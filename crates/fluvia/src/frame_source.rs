@@ -6,7 +6,7 @@ use anyhow::{Result, bail};
 use fluvia_sim::Error;
 use fluvia_sim::frames::sequence::Frame;
 use fluvia_sim::frames::{self, ParticleData, Sequence, run, sequence};
-use fluvia_sim::scene::{DEFAULT_DT, DEFAULT_GRAVITY, DEFAULT_PARTICLE_RADIUS, Scene};
+use fluvia_sim::scene::{DEFAULT_DT, DEFAULT_GRAVITY, DEFAULT_PARTICLE_RADIUS, Material, Scene};
 
 use crate::options::labelled;
 use crate::record::{Record, decimal};
@@ -140,6 +140,16 @@ impl FrameSource {
 /// Why something that is there holds no frames.
 pub const NO_FRAMES: &str = "no frames, expected the directory of a run with fluid_0000.npz or the like, or a sequence \
                              (NAME_00.msgpack.zst)";
+
+/// The material of each particle, as the frames of sequences have it.
+pub fn stored_materials(frame: &Frame, particle_radius: f32) -> impl Iterator<Item = Material> {
+    let kilogram = sequence::stored_mass(1.0, particle_radius);
+    frame.viscosity.iter().zip(&frame.mass).map(move |(&viscosity, &mass)| {
+        // Masses are float32: whole kilograms per cubic metre are what they can tell.
+        let density = (mass / kilogram).round();
+        Material { viscosity: Some(viscosity), density: Some(density) }
+    })
+}
 
 /// The scene that a sequence was made from, where `fluvia generate` has left its record beside the parts.
 pub fn recorded_scene(sequence: &Sequence) -> Result<Option<Scene>> {

@@ -31,7 +31,7 @@ use indicatif::ProgressBar;
 use crate::interrupt;
 use crate::options::{positive, thread_pool, threads};
 use crate::report::Report;
-pub use manifest::FILE as MANIFEST;
+pub use manifest::{FILE as MANIFEST, settings_of};
 use plan::{Plan, Preset, Task};
 use scene::Outcome;
 
@@ -155,7 +155,7 @@ fn try_first(plan: &Plan, task: &Task, report: &Report) -> Result<()> {
     let scene = random_scene(&recipe, seed)
         .with_context(|| format!("{} with {} particles", task.name, range_text(&recipe.particles)))?
         .scene;
-    if let Some(warning) = plan.solver.warning(&scene) {
+    if let Some(warning) = plan.solver.warning(&scene.path, scene.materials()) {
         report.warning(warning);
     }
     plan.solver.make(&scene.sample(seed)?, Kernel::detect())?;

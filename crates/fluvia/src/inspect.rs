@@ -16,12 +16,14 @@ use crate::frame_source::NO_FRAMES;
 use crate::options::positive;
 use crate::record::{self, bounds, decimal};
 use crate::report::Report;
+use crate::trained;
 
 /// Options of `fluvia inspect`.
 #[derive(clap::Args)]
 #[command(after_help = "\
 Examples:
   fluvia inspect pretrained_model_weights.pt
+  fluvia inspect default
   fluvia inspect out/dam
   fluvia inspect data/valid/sim_0206
   fluvia inspect data
@@ -29,7 +31,8 @@ Examples:
 pub struct Args {
     /// Weights (.pt, .h5, .safetensors), a scene (.json), particles or a frame (.npz, .ply, .bgeo, .vtu, .vtk), a
     /// mesh (.obj, .ply, .stl), the directory of a run, a sequence (its folder, a part file, or the common prefix of its
-    /// parts), the folder of a data set, or the name of a shipped scene.
+    /// parts), the folder of a data set, or the name of a shipped scene or of shipped
+    /// weights (default, viscosity).
     path: PathBuf,
     /// Seconds between the frames of sequences, which do not record it.
     #[arg(long, value_name = "SECONDS", value_parser = positive, default_value_t = DEFAULT_DT)]
@@ -55,6 +58,9 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
 fn file(path: &Path, dt: f32) -> Result<Value> {
     if let Some(files) = sequence::find(path)?.pop() {
         return data_set::sequence(files, dt);
+    }
+    if let Some(bytes) = trained::shipped(path) {
+        return Ok(weight_file(&weights::summarize_bytes(path, bytes.to_vec())?));
     }
     let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or_default();
     match extension.to_ascii_lowercase().as_str() {
@@ -99,7 +105,7 @@ fn weight_file(summary: &WeightSummary) -> Value {
         })
         .collect();
     let metadata: serde_json::Map<String, Value> =
-        summary.metadata.iter().map(|(key, value)| (key.clone(), json!(value))).collect();
+        summary.metadata.iter().map(|(key, value)| (key.clone(), unpacked(value))).collect();
     json!({
         "kind": "weights",
         "format": summary.kind.to_string(),
@@ -107,6 +113,20 @@ fn weight_file(summary: &WeightSummary) -> Value {
         "metadata": metadata,
         "tensors": tensors,
     })
+}
+
+/// A text, or the object that it is the JSON of, with the texts in that: metadata are texts, and so are training records in them.
+fn unpacked(text: &str) -> Value {
+    match serde_json::from_str(text) {
+        Ok(Value::Object(entries)) => {
+            let unpack = |value| match value {
+                Value::String(text) => unpacked(&text),
+                value => value,
+            };
+            Value::Object(entries.into_iter().map(|(key, value)| (key, unpack(value))).collect())
+        }
+        _ => json!(text),
+    }
 }
 
 fn scene(name: &str) -> Result<Value> {

@@ -24,6 +24,7 @@ mod resume;
 mod simulate;
 mod solvers;
 mod train;
+mod trained;
 
 use std::process::ExitCode;
 

@@ -20,7 +20,7 @@ pub struct Record {
     /// A hash of all particles of the walls and the emitters, so that a changed mesh shows.
     pub particles_sha256: String,
     pub seed: u64,
-    /// "pbf" or "network".
+    /// "dfsph", "pbf" or "network".
     pub solver: String,
     /// The parameters of the solver.
     pub parameters: Value,
@@ -53,7 +53,7 @@ pub struct Earlier {
 /// A file and what was in it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Source {
-    /// The path, or the name of a shipped scene.
+    /// The path, or the name of a shipped scene or of shipped weights.
     pub name: String,
     pub sha256: String,
 }

@@ -7,7 +7,6 @@ use std::time::Instant;
 
 use anyhow::{Context, Result};
 use cconv::Kernel;
-use fluvia_net::weights;
 use fluvia_sim::frames::{Format, Mode, RunDirectory};
 
 use fluvia_sim::rollout::{Rollout, Solver, StepReport};
@@ -19,26 +18,29 @@ use crate::record::{self, Record, Source, Summary};
 use crate::report::Report;
 use crate::resume;
 use crate::solvers::{Choice, SolverName};
+use crate::trained;
 
 /// Options of `fluvia simulate`.
 #[derive(clap::Args)]
 #[command(after_help = "\
 Examples:
-  fluvia simulate dam_break --solver dfsph --steps 200 --out out/dam
-  fluvia simulate scene.json --weights pretrained_model_weights.pt --steps 250 --out out/net --format npz,vtu
-  fluvia simulate scene.json --weights pretrained_model_weights.pt --steps 500 --out out/net --format npz,vtu --resume
+  fluvia simulate dam_break --steps 200 --out out/dam
+  fluvia simulate scene.json --steps 250 --out out/net --format npz,vtu
+  fluvia simulate scene.json --steps 500 --out out/net --format npz,vtu --resume
+  fluvia simulate scene.json --weights pretrained_model_weights.pt --out out/published
+  fluvia simulate scene.json --solver dfsph --out out/truth
 
 N steps write N + 1 frames; fluid_0000 is the state before the first step. The shipped scenes are
 dam_break, two_bodies, emitter_step and obstacle_course.")]
 pub struct Args {
     /// A scene file (JSON), or the name of a shipped scene.
     scene: String,
-    /// Weights of the network: .pt, .h5 or .safetensors. Without them the solver is pbf.
-    #[arg(long, value_name = "FILE", conflicts_with = "solver")]
-    weights: Option<PathBuf>,
-    /// A solver that needs no weights.
-    #[arg(long, value_enum, default_value_t = SolverName::Pbf)]
-    solver: SolverName,
+    /// Weights of the network: a file (.pt, .h5 or .safetensors), or the name of shipped ones (default, viscosity).
+    #[arg(long, value_name = "FILE", default_value = trained::DEFAULT, conflicts_with = "solver")]
+    weights: PathBuf,
+    /// A solver that needs no weights, in place of the network.
+    #[arg(long, value_enum)]
+    solver: Option<SolverName>,
     /// Frame intervals to simulate.
     #[arg(long, value_name = "N", default_value_t = 250)]
     steps: u64,
@@ -55,13 +57,13 @@ pub struct Args {
     #[arg(long, value_name = "S", default_value_t = 0)]
     seed: u64,
     /// The format of the network's large matrix products.
-    #[arg(long, value_enum, default_value_t = PrecisionName::F32, requires = "weights")]
+    #[arg(long, value_enum, default_value_t = PrecisionName::F32, conflicts_with = "solver")]
     precision: PrecisionName,
     /// The solver's own step, seconds (dfsph, pbf): an interval is cut into equal parts that are no longer.
-    #[arg(long, value_name = "SECONDS", value_parser = positive, conflicts_with_all = ["weights", "solver_dt_max"])]
+    #[arg(long, value_name = "SECONDS", value_parser = positive, requires = "solver", conflicts_with_all = ["weights", "solver_dt_max"])]
     solver_dt: Option<f32>,
     /// The solver's longest step, seconds, shorter while particles are fast; if not given 0.005 (dfsph), 0.004 (pbf).
-    #[arg(long, value_name = "SECONDS", value_parser = positive, conflicts_with = "weights")]
+    #[arg(long, value_name = "SECONDS", value_parser = positive, requires = "solver", conflicts_with = "weights")]
     solver_dt_max: Option<f32>,
     /// Go on with the run in the directory.
     #[arg(long, conflicts_with = "overwrite")]
@@ -109,7 +111,7 @@ fn prepare(args: &Args, report: &Report) -> Result<Prepared> {
     let setup = scene.sample(args.seed)?;
     let kernel = Kernel::detect();
     let solver = choice.make(&setup, kernel).with_context(|| args.scene.clone())?;
-    if let Some(warning) = choice.warning(&scene) {
+    if let Some(warning) = choice.warning(&scene.path, scene.materials()) {
         report.warning(warning);
     }
     if setup.emitters.iter().all(|emitter| emitter.start > args.steps) {
@@ -148,12 +150,11 @@ fn prepare(args: &Args, report: &Report) -> Result<Prepared> {
 
 /// The solver that was asked for, of frames that are `frame` seconds apart.
 fn choose(args: &Args, frame: f32) -> Result<(Choice, Option<Source>)> {
-    let Some(path) = &args.weights else {
+    if let Some(solver) = args.solver {
         let substep = substep(args.solver_dt, args.solver_dt_max, frame)?;
-        return Ok((args.solver.choice(substep), None));
-    };
-    let (bytes, source) = record::read_source(path)?;
-    let weights = weights::from_bytes(path, bytes)?;
+        return Ok((solver.choice(substep), None));
+    }
+    let (weights, source) = trained::load(&args.weights)?;
     Ok((Choice::Network(Box::new(weights), args.precision), Some(source)))
 }
 

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, anyhow, bail};
 use cconv::Kernel;
 use fluvia_net::config::Config;
 use fluvia_net::solver::NetSolver;
@@ -64,7 +64,7 @@ impl Choice {
             Choice::Dfsph(_) => check_dfsph(scene),
             Choice::Pbf(_) => check_pbf(scene),
             Choice::Network(weights, _) => {
-                check_network(scene, &weights.config)?;
+                check_network(scene, &weights.config).map_err(|error| advised(&error))?;
                 scene.dt = Some(weights.config.dt);
                 scene.particle_radius = Some(weights.config.particle_radius);
                 Ok(())
@@ -83,11 +83,16 @@ impl Choice {
                 let config = &weights.config;
                 check(path, "dt", Some(setup.dt), config.dt, "s")?;
                 check(path, "particle_radius", Some(setup.particle_radius), config.particle_radius, "m")?;
-                materials.try_for_each(|material| check_material(path, "", material, config))
+                materials
+                    .try_for_each(|material| check_material(path, "", material, config))
+                    .map_err(|error| advised(&error))
             }
-            Choice::Dfsph(_) => materials
-                .filter_map(|material| material.viscosity)
-                .try_for_each(|value| check_dfsph_viscosity(path, "", value)),
+            Choice::Dfsph(_) => {
+                check_densities(path, materials.clone())?;
+                materials
+                    .filter_map(|material| material.viscosity)
+                    .try_for_each(|value| check_dfsph_viscosity(path, "", value))
+            }
             // It has no viscosity: that of water is as good as none.
             Choice::Pbf(_) => {
                 let water = Liquid::default().viscosity;
@@ -99,10 +104,10 @@ impl Choice {
         }
     }
 
-    /// What will surprise though the solver takes the scene.
-    pub fn warning(&self, scene: &Scene) -> Option<String> {
+    /// What will surprise though the solver takes these liquids.
+    pub fn warning(&self, path: &Path, materials: impl IntoIterator<Item = Material>) -> Option<String> {
         let Choice::Dfsph(dfsph::Params { substep, .. }) = self else { return None };
-        let given = scene.materials().into_iter().filter_map(|material| material.viscosity);
+        let given = materials.into_iter().filter_map(|material| material.viscosity);
         let highest = given.reduce(f32::max)?;
         if *substep == Substep::Fixed(PUBLISHED_STEP) || highest <= Liquid::default().viscosity {
             return None;
@@ -110,7 +115,7 @@ impl Choice {
         Some(format!(
             "{}: viscosity {highest} acts once a step of the solver, and is that of the published data with \
              --solver-dt {PUBLISHED_STEP}",
-            scene.path.display()
+            path.display()
         ))
     }
 
@@ -219,17 +224,21 @@ pub fn liquid(material: Material) -> Liquid {
 /// with 1000 the iteration diverges.
 const MOST_DENSITY_RATIO: f32 = 5.0;
 
-fn check_dfsph(scene: &Scene) -> Result<()> {
-    let path = scene.path.display();
-    let own = scene.materials().into_iter().map(|material| material.density);
-    let densities = own.map(|density| density.unwrap_or(Liquid::default().density));
+fn check_densities(path: &Path, materials: impl IntoIterator<Item = Material>) -> Result<()> {
+    let densities = materials.into_iter().map(|material| liquid(material).density);
     let (low, high) = densities.fold((f32::MAX, 0.0), |(low, high), d| (d.min(low), d.max(high)));
     if high > MOST_DENSITY_RATIO * low {
         bail!(
-            "{path}: `density`: {low} and {high} kg/m³, but the solver dfsph takes liquids whose densities differ by a \
-             factor of at most {MOST_DENSITY_RATIO}"
+            "{}: `density`: {low} and {high} kg/m³, but the solver dfsph takes liquids whose densities differ by a \
+             factor of at most {MOST_DENSITY_RATIO}",
+            path.display()
         );
     }
+    Ok(())
+}
+
+fn check_dfsph(scene: &Scene) -> Result<()> {
+    check_densities(&scene.path, scene.materials())?;
     let materials =
         scene.fluids.iter().enumerate().map(|(i, fluid)| (format!("fluids[{i}]."), fluid.material));
     for (prefix, material) in std::iter::once((String::new(), scene.material)).chain(materials) {
@@ -280,6 +289,11 @@ fn named(density: Option<f32>) -> String {
     density.map_or("none given".into(), |density| format!("{density} kg/m³"))
 }
 
+/// What a network cannot honour, with what may.
+fn advised(error: &anyhow::Error) -> anyhow::Error {
+    anyhow!("{error} (--weights viscosity takes other viscosities, --solver dfsph more)")
+}
+
 /// Checks the keys of a scene against what a network was made for.
 ///
 /// # Errors
@@ -296,9 +310,19 @@ pub fn check_network(scene: &Scene, config: &Config) -> Result<()> {
     Ok(())
 }
 
-fn check_material(path: &Path, prefix: &str, material: Material, config: &Config) -> Result<()> {
-    if !config.extra_inputs.iter().any(|input| input == "viscosity") {
-        check(path, &format!("{prefix}viscosity"), material.viscosity, config.viscosity, "")?;
+/// Checks a material against what a network was made for.
+///
+/// # Errors
+/// One line that names the file, the key and the value that would be honoured.
+pub fn check_material(path: &Path, prefix: &str, material: Material, config: &Config) -> Result<()> {
+    let takes_viscosity = config.extra_inputs.iter().any(|input| input == "viscosity");
+    match (takes_viscosity, material.viscosity, config.viscosity_range) {
+        (false, viscosity, _) => check(path, &format!("{prefix}viscosity"), viscosity, config.viscosity, "")?,
+        (true, Some(value), Some([low, high])) if !(low..=high).contains(&value) => bail!(
+            "{}: `{prefix}viscosity`: {value}, but the network has learned from {low} to {high}",
+            path.display()
+        ),
+        _ => {}
     }
     check(path, &format!("{prefix}density"), material.density, config.density, "kg/m³")
 }

@@ -13,9 +13,10 @@ pub mod config;
 mod events;
 pub mod log;
 mod names;
+mod origin;
 mod shipped;
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
@@ -32,9 +33,9 @@ use serde_json::{Value, json};
 
 use crate::interrupt;
 use crate::options::{thread_pool, threads};
-use crate::record::{decimal, first_difference};
+use crate::record::decimal;
 use crate::report::Report;
-use begin::{check_data, complete, given_weights, settings};
+use begin::{check_data, given_weights, refuse_trained, remove_run};
 use config::{Config, Data};
 use log::{Line, Log};
 
@@ -69,7 +70,7 @@ pub struct Args {
     /// The seed; that of the settings if not given.
     #[arg(long, value_name = "S")]
     seed: Option<u64>,
-    /// Begin with these weights, not with random ones. Where the settings have the viscosity as an input and these weights do
+    /// Begin with these weights, a file or the name of shipped ones (default, viscosity), not with random ones. Where the settings have the viscosity as an input and these weights do
     /// not, it begins without influence.
     #[arg(long, value_name = "FILE")]
     weights: Option<PathBuf>,
@@ -160,11 +161,84 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
 /// # Errors
 /// If data or weights cannot be read, the directory holds another training, a file cannot be written, or a loss is not finite.
 pub fn train(plan: &Plan, interrupted: &AtomicBool, report: &Report) -> Result<Option<Trained>> {
-    let weights = match &plan.weights {
-        None => plan.config.first_weights(),
-        Some(path) => given_weights(path, &plan.config)?,
+    Run::new(plan, report)?.train(interrupted)
+}
+
+/// Makes sure that a training could begin, and changes nothing.
+///
+/// # Errors
+/// As [`train`] before its first update.
+pub fn check(plan: &Plan, report: &Report) -> Result<()> {
+    let data = Opened::of(plan)?;
+    let sampling = plan.config.sampling(Damaged::Stop);
+    data.train.check_windows(sampling.frames())?;
+    data.valid.iter().try_for_each(|valid| valid.check_windows(sampling.steps + 1))?;
+    first_state(plan, &data, report)?;
+    Ok(())
+}
+
+/// The data of a training.
+struct Opened {
+    train: DataSet,
+    valid: Option<DataSet>,
+    /// The lowest and the highest viscosity of the training data.
+    viscosity: [f32; 2],
+}
+
+impl Opened {
+    fn of(plan: &Plan) -> Result<Opened> {
+        let config = &plan.config;
+        if config.data.train.is_empty() {
+            bail!("no data: expected --data, or `data.train` in the settings");
+        }
+        let open = |folders: &[PathBuf]| -> Result<(DataSet, [f32; 2])> {
+            let data = DataSet::open(folders)?;
+            let viscosity = check_data(&data, config)?;
+            Ok((data, viscosity))
+        };
+        let (train, viscosity) = open(&config.data.train)?;
+        let valid = &config.data.valid;
+        let valid = if valid.is_empty() { None } else { Some(open(valid)?.0) };
+        Ok(Opened { train, valid, viscosity })
+    }
+}
+
+/// Where a training begins or goes on, and whether it begins.
+fn first_state(plan: &Plan, data: &Opened, report: &Report) -> Result<(Trainer, Place, bool)> {
+    let config = &plan.config;
+    let (mut random, options) = (config.first_weights(), config.options());
+    let range = config.network.viscosity.then_some(data.viscosity);
+    random.config.viscosity_range = range;
+    let path = plan.out.join(CHECKPOINT);
+    let goes_on = plan.resume && path.exists();
+    if !goes_on && !plan.overwrite {
+        refuse_trained(&plan.out, plan.resume)?;
+    }
+    let given = plan.weights.as_ref().or(config.training.weights.as_ref());
+    // What goes on has its weights.
+    let first = match given.filter(|given| !goes_on || given.exists()) {
+        Some(given) => Some(given_weights(given, config)?),
+        None => None,
     };
-    Run::new(plan, weights, report)?.train(interrupted)
+    let settings = origin::of(plan, &data.train, data.valid.as_ref(), first.as_ref())?;
+    if goes_on {
+        let Checkpoint { mut place, weights: values, adam, averages } =
+            Checkpoint::load(&path, &random, options.adam)?;
+        let old = serde_json::from_str(&place.settings)?;
+        let (settings, warning) =
+            origin::going_on(old, settings, place.updates).with_context(|| path.display().to_string())?;
+        if let Some(warning) = warning {
+            report.warning(warning);
+        }
+        place.settings = settings.to_string();
+        let mut weights = random;
+        weights.values_mut().into_iter().zip(&values).for_each(|(to, from)| to.copy_from_slice(from));
+        return Ok((Trainer::resume(options, weights, adam, averages, Kernel::detect())?, place, false));
+    }
+    let place = Place { settings: settings.to_string(), ..Place::default() };
+    let mut weights = first.map_or(random, |first| first.weights);
+    weights.config.viscosity_range = range;
+    Ok((Trainer::new(options, weights, Kernel::detect())?, place, true))
 }
 
 /// A training that runs.
@@ -175,6 +249,8 @@ struct Run<'a> {
     place: Place,
     loader: Loader,
     validation: Option<Validation>,
+    /// What the last validation found.
+    validated: Option<Line>,
     log: Log,
     bar: ProgressBar,
     /// When this process began, and the seconds of those before.
@@ -182,74 +258,46 @@ struct Run<'a> {
 }
 
 impl<'a> Run<'a> {
-    fn new(plan: &'a Plan, weights: Weights, report: &'a Report) -> Result<Run<'a>> {
+    fn new(plan: &'a Plan, report: &'a Report) -> Result<Run<'a>> {
         let config = &plan.config;
         let damaged = if plan.skip_damaged { Damaged::Skip } else { Damaged::Stop };
         let sampling = config.sampling(damaged);
-        if config.data.train.is_empty() {
-            bail!("no data: expected --data, or `data.train` in the settings");
-        }
-        let data = DataSet::open(&config.data.train)?;
-        check_data(&data, config)?;
-        let validation = if config.data.valid.is_empty() {
-            report.warning("no validation data: the last weights count as the best");
-            None
-        } else {
-            let data = DataSet::open(&config.data.valid)?;
-            check_data(&data, config)?;
-            Some(Validation::read(&data, &sampling, config.validation.windows)?)
+        let data = Opened::of(plan)?;
+        let validation = match &data.valid {
+            Some(valid) => Some(Validation::read(valid, &sampling, config.validation.windows)?),
+            None => {
+                report.warning("no validation data: the last weights count as the best");
+                None
+            }
         };
-        let settings = settings(plan, &data);
-        let path = plan.out.join(CHECKPOINT);
-        let options = config.options();
-        let (trainer, place) = if plan.resume && path.exists() {
-            let Checkpoint { place, weights: values, adam, averages } =
-                Checkpoint::load(&path, &weights, options.adam)?;
-            let mut old: Value = serde_json::from_str(&place.settings)?;
-            // What settings did not have yet is as it is without them.
-            complete(&mut old, &serde_json::to_value(Config::default())?);
-            let kernel = std::mem::replace(&mut old["kernel"], settings["kernel"].clone());
-            if kernel != settings["kernel"] {
-                report.warning(format_args!(
-                    "begun with the kernel {kernel}, going on with {}: other bits than without the change",
-                    settings["kernel"]
-                ));
-            }
-            if let Some((key, old, new)) = first_difference("", &old, &settings) {
-                bail!("{}: not the same training, its {key}: {old}, now: {new}", path.display());
-            }
-            let mut weights = weights;
-            weights.values_mut().into_iter().zip(&values).for_each(|(to, from)| to.copy_from_slice(from));
-            report
-                .note(format_args!("resuming after update {} of {}", place.updates, config.training.updates));
-            (Trainer::resume(options, weights, adam, averages, Kernel::detect())?, place)
-        } else {
-            if path.exists() && !plan.overwrite {
-                bail!("{}: holds a training; expected --resume or --overwrite", plan.out.display());
-            }
+        let (trainer, place, begins) = first_state(plan, &data, report)?;
+        let loader = Loader::start(&data.train, sampling, place.position)?;
+        // Nothing can be wrong any more but the disk.
+        if begins {
             std::fs::create_dir_all(&plan.out).with_context(|| plan.out.display().to_string())?;
             remove_run(&plan.out)?;
-            frames::write_json(&plan.out.join(SETTINGS), &settings)?;
-            let place = Place { settings: settings.to_string(), ..Place::default() };
-            (Trainer::new(options, weights, Kernel::detect())?, place)
-        };
-        let loader = Loader::start(&data, sampling, place.position)?;
+        } else {
+            report
+                .note(format_args!("resuming after update {} of {}", place.updates, config.training.updates));
+        }
+        let settings: Value = serde_json::from_str(&place.settings)?;
+        frames::write_json(&plan.out.join(SETTINGS), &settings)?;
         let log = Log::open(&plan.out, place.updates)?;
         let bar = report.bar_like(config.training.updates, "{bar:16} update {pos}/{len}, {msg}, {eta} left");
         bar.set_position(place.updates);
         bar.reset_eta();
         let start = (Instant::now(), place.seconds);
-        Ok(Run { plan, report, trainer, place, loader, validation, log, bar, start })
+        Ok(Run { plan, report, trainer, place, loader, validation, validated: None, log, bar, start })
     }
 
     fn train(mut self, interrupted: &AtomicBool) -> Result<Option<Trained>> {
         let mut shown = None;
         while self.place.updates < self.plan.config.training.updates {
+            let begin = Instant::now();
             let Loaded { batch, next, skipped } = self.loader.take()?;
             for message in skipped {
                 self.bar.suspend(|| self.report.warning(format_args!("left out: {message}")));
             }
-            let begin = Instant::now();
             let Progress { loss, gradient, rate } = match self.trainer.step(&batch) {
                 Ok(progress) => progress,
                 Err(error) => {
@@ -304,7 +352,9 @@ impl<'a> Run<'a> {
         let error = |step: usize| errors.position.get(step).copied().filter(finite);
         let mm = |step: usize| error(step).map(|metres| 1e3 * metres);
         let (update, loss) = (self.place.updates, Some(errors.loss).filter(finite));
-        self.log.add(&Line::Valid { update, loss, err_n1_mm: mm(0), err_n2_mm: mm(1) })?;
+        let line = Line::Valid { update, loss, err_n1_mm: mm(0), err_n2_mm: mm(1) };
+        self.log.add(&line)?;
+        self.validated = Some(line);
         // By the last step of the windows.
         let Some(judged) = errors.position.last().copied().filter(finite) else { return Ok(()) };
         if self.place.best.is_none_or(|(_, best)| judged < best) {
@@ -320,6 +370,7 @@ impl<'a> Run<'a> {
             "updates": self.place.updates,
             "particle_samples": self.place.particle_samples,
             "seconds": self.seconds().round(),
+            "validation": self.validated,
             "settings": serde_json::from_str::<Value>(&self.place.settings).unwrap_or_default(),
         });
         Weights { training: Some(training.to_string()), ..self.trainer.result() }
@@ -340,19 +391,6 @@ impl<'a> Run<'a> {
         checkpoint.save(&self.plan.out.join(CHECKPOINT), self.trainer.weights())?;
         Ok(())
     }
-}
-
-/// Removes what an earlier training has left: a new one that is killed before its first checkpoint must not go on with it.
-fn remove_run(out: &Path) -> Result<()> {
-    for name in [CHECKPOINT, WEIGHTS, BEST, log::FILE] {
-        match std::fs::remove_file(out.join(name)) {
-            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-                return Err(error).with_context(|| out.join(name).display().to_string());
-            }
-            _ => {}
-        }
-    }
-    Ok(())
 }
 
 /// How much of the shown loss stays from one update to the next.

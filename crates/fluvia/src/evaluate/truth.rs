@@ -11,12 +11,12 @@ use fluvia_sim::particles::{Boundary, Particles};
 use fluvia_sim::scene::{Emitter, Material, Setup};
 
 use crate::curves::{Curves, Surroundings};
-use crate::frame_source::{FrameSource, NO_FRAMES};
+use crate::frame_source::{FrameSource, NO_FRAMES, stored_materials};
 use crate::record::load_scene;
 use crate::report::Report;
 
 /// The folder of a data set that is evaluated if it has one.
-const VALID: &str = "valid";
+pub const VALID: &str = "valid";
 
 /// Frames with what a solver has to know of them.
 pub struct Recorded {
@@ -64,15 +64,7 @@ impl Recorded {
         }
         let (data, radius) = (source.read(first)?, source.particle_radius);
         let (body, materials) = match source.frame_of_sequence(first)? {
-            Some(frame) => {
-                let kilogram = sequence::stored_mass(1.0, radius);
-                let of_particle = |(&viscosity, &mass): (&f32, &f32)| {
-                    // Masses are float32: whole kilograms per cubic metre are what they can tell.
-                    let density = (mass / kilogram).round();
-                    Material { viscosity: Some(viscosity), density: Some(density) }
-                };
-                bodies(frame.viscosity.iter().zip(&frame.mass).map(of_particle))
-            }
+            Some(frame) => bodies(stored_materials(frame, radius)),
             None => {
                 let body = data.body.clone().unwrap_or_else(|| vec![0; data.position.len()]);
                 let count = body.iter().max().map_or(0, |&body| body as usize + 1);

@@ -59,6 +59,18 @@ pub fn begin(out: &Path, settings: &Settings, shard: bool) -> Result<()> {
     FOLDERS.iter().try_for_each(|name| make_folder(&out.join(name)))
 }
 
+/// The settings of the data set that a folder of sequences belongs to; null where there is no manifest.
+///
+/// # Errors
+/// If the manifest cannot be read.
+pub fn settings_of(sequences: &Path) -> Result<Value> {
+    let path = sequences.parent().unwrap_or(Path::new("")).join(FILE);
+    if !path.exists() {
+        return Ok(Value::Null);
+    }
+    Ok(serde_json::to_value(frames::read_json::<Manifest>(&path)?.settings)?)
+}
+
 fn make_folder(path: &Path) -> Result<()> {
     std::fs::create_dir_all(path).with_context(|| path.display().to_string())
 }

@@ -1,28 +1,38 @@
-//! What a training begins with: weights, data that fit its settings, and the settings as they are recorded.
+//! What a training begins with: weights and data that fit its settings, and a directory without an earlier training.
 
 use std::path::Path;
 
-use anyhow::{Result, bail};
-use cconv::Kernel;
+use anyhow::{Context, Result, bail};
+use fluvia_net::config::Config as NetworkConfig;
 use fluvia_net::dataset::{DataSet, PartFile};
-use fluvia_net::weights::{Tensor, Weights};
-use fluvia_sim::scene::{DEFAULT_DT, DEFAULT_GRAVITY, DEFAULT_PARTICLE_RADIUS};
-use serde_json::{Value, json};
+use fluvia_net::weights::Tensor;
+use fluvia_sim::frames::sequence;
+use fluvia_sim::scene::{DEFAULT_DT, DEFAULT_GRAVITY, DEFAULT_PARTICLE_RADIUS, Material};
 
-use super::Plan;
 use super::config::Config;
-use crate::frame_source::recorded_beside;
-use crate::solvers::check_network;
+use super::origin::First;
+use super::{BEST, CHECKPOINT, WEIGHTS, events, log};
+use crate::frame_source::{recorded_beside, stored_materials};
+use crate::solvers::{check_material, check_network};
+use crate::trained;
 
 /// Weights to begin with, which must be of the network of the settings.
-pub fn given_weights(path: &Path, config: &Config) -> Result<Weights> {
-    let mut given = fluvia_net::weights::load(path)?;
+pub fn given_weights(path: &Path, config: &Config) -> Result<First> {
+    let (mut given, source) = trained::load(path)?;
+    // That of the data that follow.
+    given.config.viscosity_range = None;
     let expected = config.first_weights();
     if let ([], [name]) = (given.config.extra_inputs.as_slice(), expected.config.extra_inputs.as_slice()) {
         given = given.with_extra_input(name);
     }
     let path = path.display();
     let (found, wanted) = (given.tensors(), expected.tensors());
+    if found.len() != wanted.len() {
+        let (found, wanted) = (found.len(), wanted.len());
+        bail!(
+            "{path}: weights of another network than that of the settings: {found} tensors, expected {wanted}"
+        );
+    }
     let differs = |(found, wanted): &(&Tensor<'_>, &Tensor<'_>)| {
         (&found.name, &found.shape) != (&wanted.name, &wanted.shape)
     };
@@ -35,30 +45,58 @@ pub fn given_weights(path: &Path, config: &Config) -> Result<Weights> {
             wanted.shape
         );
     }
-    if found.len() != wanted.len() || given.config != expected.config {
+    let values = |config: &NetworkConfig| {
+        [
+            ("interpolation", format!("{:?}", config.interpolation)),
+            ("window", format!("{:?}", config.window)),
+            ("fully_connected", config.fully_connected.to_string()),
+            ("extra inputs", format!("{:?}", config.extra_inputs)),
+            ("integration", config.integration.name().to_owned()),
+            ("dt", format!("{} s", config.dt)),
+            ("gravity", format!("{:?} m/s²", config.gravity)),
+            // What no settings change.
+            ("constants", format!("{config:?}")),
+        ]
+    };
+    let (found, wanted) = (values(&given.config), values(&expected.config));
+    if let Some(((key, found), (_, wanted))) = found.iter().zip(&wanted).find(|(a, b)| a != b) {
         bail!(
-            "{path}: weights of another network than that of the settings: {:?}, expected {:?}",
-            given.config,
-            expected.config
+            "{path}: weights of another network than that of the settings: {key} {found}, expected {wanted}"
         );
     }
-    Ok(given)
+    Ok(First { weights: given, source })
 }
 
-/// Makes sure that the settings are those of the data, as far as these say what they are.
+/// Makes sure that the settings are those of the data, as far as these say what they are. Returns the lowest and the highest
+/// viscosity.
 ///
 /// # Errors
 /// One line that names the sequence, the key, its value and what the settings have.
-pub fn check_data(data: &DataSet, config: &Config) -> Result<()> {
+pub fn check_data(data: &DataSet, config: &Config) -> Result<[f32; 2]> {
     let made_for = config.made_for();
-    fn sequence(part: &PartFile) -> (Option<&Path>, &str) {
+    let mut range = [f32::INFINITY, f32::NEG_INFINITY];
+    let mut widen = |material: Material| {
+        let viscosity = material.viscosity.unwrap_or(made_for.viscosity);
+        range = [range[0].min(viscosity), range[1].max(viscosity)];
+    };
+    fn name(part: &PartFile) -> (Option<&Path>, &str) {
         (part.path.parent(), &part.sequence)
     }
-    for parts in data.parts().chunk_by(|a, b| sequence(a) == sequence(b)) {
-        let Some(mut scene) = recorded_beside(&parts[0].path, &parts[0].sequence)? else { continue };
+    for parts in data.parts().chunk_by(|a, b| name(a) == name(b)) {
+        let Some(mut scene) = recorded_beside(&parts[0].path, &parts[0].sequence)? else {
+            // A published sequence says what its particles are, and no more.
+            let (path, radius) = (&parts[0].path, made_for.particle_radius);
+            let (_, frame) = sequence::read_start(path)?;
+            for material in stored_materials(&frame, radius) {
+                check_material(path, "", material, &made_for)?;
+                widen(material);
+            }
+            continue;
+        };
         scene.dt.get_or_insert(DEFAULT_DT);
         scene.particle_radius.get_or_insert(DEFAULT_PARTICLE_RADIUS);
         check_network(&scene, &made_for)?;
+        scene.materials().into_iter().for_each(&mut widen);
         let gravity = scene.gravity.unwrap_or(DEFAULT_GRAVITY);
         if gravity != made_for.gravity {
             let path = scene.path.display();
@@ -68,29 +106,29 @@ pub fn check_data(data: &DataSet, config: &Config) -> Result<()> {
             );
         }
     }
-    Ok(())
+    Ok(range)
 }
 
-/// What the bits of a training depend on.
-pub fn settings(plan: &Plan, data: &DataSet) -> Value {
-    let mut value = serde_json::to_value(&plan.config).unwrap_or_default();
-    value["data"]["parts"] = json!(data.parts().len());
-    value["data"]["frames"] = json!(data.parts().iter().map(|part| part.frames).sum::<usize>());
-    value["first_weights"] = json!(plan.weights);
-    value["kernel"] = json!(Kernel::detect().name());
-    value["version"] = json!(env!("CARGO_PKG_VERSION"));
-    value
-}
+/// The files of a training that cost its time.
+const TRAINED: [&str; 3] = [CHECKPOINT, WEIGHTS, BEST];
 
-/// Adds the entries that `value` does not have, at every depth.
-pub fn complete(value: &mut Value, defaults: &Value) {
-    let (Value::Object(entries), Value::Object(defaults)) = (value, defaults) else { return };
-    for (key, default) in defaults {
-        match entries.get_mut(key) {
-            Some(own) => complete(own, default),
-            None => {
-                entries.insert(key.clone(), default.clone());
-            }
-        }
+/// Makes sure that nothing trained is lost to a training that begins.
+pub fn refuse_trained(out: &Path, resume: bool) -> Result<()> {
+    let Some(found) = TRAINED.iter().find(|name| out.join(name).exists()) else { return Ok(()) };
+    match resume {
+        true => bail!("{}: holds {found}, but no {CHECKPOINT} to go on from", out.display()),
+        false => bail!("{}: holds {found} of a training; expected --resume or --overwrite", out.display()),
     }
+}
+
+/// Removes what an earlier training has left: a new one that is killed before its first checkpoint must not go on with it.
+pub fn remove_run(out: &Path) -> Result<()> {
+    let remove = |path: &Path| match std::fs::remove_file(path) {
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+            Err(error).with_context(|| path.display().to_string())
+        }
+        _ => Ok(()),
+    };
+    TRAINED.iter().chain([&log::FILE]).try_for_each(|name| remove(&out.join(name)))?;
+    events::files(out)?.iter().try_for_each(|path| remove(path))
 }

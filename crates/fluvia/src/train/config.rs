@@ -111,6 +111,8 @@ impl Default for LossSettings {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Training {
+    /// Weights to begin with, if not random ones: a file, or the name of shipped ones.
+    pub weights: Option<PathBuf>,
     /// Updates of the weights.
     pub updates: u64,
     /// Windows of a batch.
@@ -143,6 +145,7 @@ pub struct Training {
 impl Default for Training {
     fn default() -> Training {
         Training {
+            weights: None,
             updates: 50_000,
             batch: 16,
             steps: 2,

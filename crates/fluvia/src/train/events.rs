@@ -9,10 +9,24 @@
 
 use std::fs::File;
 use std::io::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, Result};
+
+/// What their names begin with.
+const NAME: &str = "events.out.tfevents.";
+
+/// The event files in a directory.
+///
+/// # Errors
+/// If it cannot be read.
+pub fn files(folder: &Path) -> Result<Vec<PathBuf>> {
+    let entries = std::fs::read_dir(folder).and_then(|entries| entries.collect::<std::io::Result<Vec<_>>>());
+    let entries = entries.with_context(|| folder.display().to_string())?;
+    let named = entries.iter().filter(|entry| entry.file_name().to_string_lossy().starts_with(NAME));
+    Ok(named.map(|entry| entry.path()).collect())
+}
 
 /// An event file that is written.
 pub struct Events {
@@ -23,7 +37,7 @@ impl Events {
     /// Begins a file of its own in a directory: TensorBoard reads all of them together.
     pub fn create(folder: &Path) -> Result<Events> {
         let (seconds, process) = (now() as u64, std::process::id());
-        let path = folder.join(format!("events.out.tfevents.{seconds}.{process}"));
+        let path = folder.join(format!("{NAME}{seconds}.{process}"));
         let file = File::create(&path).with_context(|| path.display().to_string())?;
         let mut events = Events { file };
         let mut event = Message::default();

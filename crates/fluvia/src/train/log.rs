@@ -35,7 +35,9 @@ impl Line {
 pub struct Log {
     path: PathBuf,
     file: File,
-    events: Events,
+    folder: PathBuf,
+    /// From the first line on.
+    events: Option<Events>,
 }
 
 impl Log {
@@ -55,15 +57,19 @@ impl Log {
             Ok(())
         })?;
         let file = OpenOptions::new().append(true).open(&path).with_context(|| path.display().to_string())?;
-        Ok(Log { events: Events::create(folder)?, path, file })
+        Ok(Log { path, file, folder: folder.to_owned(), events: None })
     }
 
     pub fn add(&mut self, line: &Line) -> Result<()> {
         let mut text = serde_json::to_string(line)?;
         text.push('\n');
         self.file.write_all(text.as_bytes()).with_context(|| self.path.display().to_string())?;
+        let events = match &mut self.events {
+            Some(events) => events,
+            none => none.insert(Events::create(&self.folder)?),
+        };
         match *line {
-            Line::Train { update, loss, gradient, rate, particles_per_s } => self.events.add(
+            Line::Train { update, loss, gradient, rate, particles_per_s } => events.add(
                 update,
                 &[
                     ("train/loss", Some(loss)),
@@ -72,7 +78,7 @@ impl Log {
                     ("train/particles_per_s", Some(particles_per_s)),
                 ],
             ),
-            Line::Valid { update, loss, err_n1_mm, err_n2_mm } => self.events.add(
+            Line::Valid { update, loss, err_n1_mm, err_n2_mm } => events.add(
                 update,
                 &[("valid/loss", loss), ("valid/err_n1_mm", err_n1_mm), ("valid/err_n2_mm", err_n2_mm)],
             ),

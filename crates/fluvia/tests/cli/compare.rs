@@ -71,7 +71,7 @@ fn frames_without_particles_are_gaps() {
     let folder = Folder::new();
     let jet = r#""shape": "box", "scale": 0.2, "translation": [0, 0.3, 0], "start": 2"#;
     folder.write("scene.json", crate::common::scene_of(jet));
-    folder.succeed("simulate scene.json --steps 4 --out a");
+    folder.succeed("simulate scene.json --solver pbf --steps 4 --out a");
     folder.succeed("simulate scene.json --steps 4 --solver dfsph --out b");
     let found = folder.succeed("compare a b --out report --json").last_json();
     let distance = found["distance"]["a_to_b_m"].as_array().unwrap();
@@ -96,9 +96,9 @@ fn runs_of_different_scenes_are_compared_with_a_warning() {
 fn what_cannot_be_compared() {
     let folder = runs();
     folder.write("slow.json", scene_with(r#""dt": 0.01"#));
-    folder.succeed("simulate slow.json --steps 2 --out slow");
+    folder.succeed("simulate slow.json --solver pbf --steps 2 --out slow");
     folder.write("fine.json", scene_with(r#""particle_radius": 0.02"#));
-    folder.succeed("simulate fine.json --steps 2 --out fine");
+    folder.succeed("simulate fine.json --solver pbf --steps 2 --out fine");
     folder.fail("compare dfsph slow --out out", &["slow", "0.01 s", "dfsph", "0.02 s"]);
     folder.fail("compare dfsph fine --out out", &["fine", "0.02 m", "0.025 m"]);
     folder.fail("compare dfsph nowhere --out out", &["nowhere"]);

@@ -26,6 +26,10 @@ fn a_solver_against_itself_and_others() {
     assert!((lone + 9.81).abs() < 1e-3, "{lone}");
     assert!(found["truth"]["highest_density"].as_f64().unwrap() > 0.5);
 
+    // Without options it is the shipped network.
+    let default = folder.succeed("evaluate --data truth --json").last_json();
+    assert_eq!(folder.succeed("evaluate --weights default --data truth --json").last_json(), default);
+
     let weights = fixture("plain.pt");
     let command = format!("evaluate --weights net={weights} --solver pbf --data truth --out report");
     let printed = folder.succeed(&command).stdout;
@@ -67,7 +71,7 @@ fn a_data_set_is_its_validation_scenes() {
 fn what_is_refused() {
     let folder = truth();
     let weights = fixture("plain.pt");
-    folder.fail("evaluate --data truth", &["--weights or --solver"]);
+    folder.fail("evaluate --solver dfsph --precision bf16 --data truth", &["--precision", "--weights"]);
     folder.fail("evaluate --solver pbf --data nowhere --out out", &["nowhere"]);
     std::fs::create_dir(folder.path("empty")).unwrap();
     folder.fail("evaluate --solver pbf --data empty --out out", &["empty", "no frames"]);
@@ -90,6 +94,11 @@ fn what_is_refused() {
         &format!("evaluate --weights {weights} --data thick --out out"),
         &["thick", "`viscosity`", "0.3", "0.01"],
     );
+    // Viscosity depends on the solver's step.
+    let warned =
+        |step: &str| folder.succeed(&format!("evaluate --solver dfsph {step} --data thick --json")).stderr;
+    assert!(warned("").contains("warning: thick: viscosity 0.3"));
+    assert_eq!(warned("--solver-dt 0.001"), "");
     // Particles that come later cannot be followed.
     folder.write("emitter.json", SCENE.replace("0.2]}", "0.2], \"start\": 0, \"stop\": 9, \"step\": 4}"));
     folder.succeed("simulate emitter.json --solver dfsph --steps 6 --out emitter");

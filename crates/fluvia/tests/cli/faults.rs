@@ -103,10 +103,11 @@ fn keys_that_a_solver_cannot_honour() {
     }
     folder.write("scene.json", scene_of(r#""shape": "box", "scale": 0.2, "viscosity": 0.2"#));
     folder.fail(&network, &["scene.json", "`fluids[0].viscosity`", "0.2", "0.01"]);
-    folder.fail(RUN, &["scene.json", "`fluids[0].viscosity`", "pbf"]);
+    folder.fail(RUN, &["scene.json", "`fluids[0].viscosity`", "0.2", "--solver dfsph"]);
+    folder.fail(&format!("{RUN} --solver pbf"), &["scene.json", "`fluids[0].viscosity`", "pbf"]);
     // A time step that the solver cannot take, found before anything is written.
     folder.write("scene.json", SCENE);
-    folder.fail(&format!("{RUN} --solver-dt 1e-9"), &["0.02", "100000"]);
+    folder.fail(&format!("{RUN} --solver pbf --solver-dt 1e-9"), &["0.02", "100000"]);
     // DFSPH takes any viscosity up to 1, and says what it depends on.
     let dfsph = format!("{RUN} --solver dfsph");
     folder.write("scene.json", scene_of(r#""shape": "box", "scale": 0.2, "viscosity": 1.5"#));
@@ -215,9 +216,12 @@ fn wrong_usage() {
         "simulate dam_break --resume --overwrite",
         "simulate dam_break --threads 0",
         "simulate dam_break --threads 20000",
-        "simulate dam_break --solver-dt=-0.001",
-        "simulate dam_break --solver-dt-max nan",
+        "simulate dam_break --solver dfsph --solver-dt=-0.001",
+        "simulate dam_break --solver dfsph --solver-dt-max nan",
+        "simulate dam_break --solver-dt 0.001",
+        "simulate dam_break --solver pbf --precision bf16",
         "simulate dam_break --solver-dt 0.001 --weights a.pt",
+        "simulate dam_break --solver dfsph --weights a.pt",
         "render out -o a.png --max-speed 0",
         "render -o a.png",
         "render out -o a.png --sheet 0x2",

@@ -15,6 +15,24 @@ fn solvers() -> [String; 3] {
 }
 
 #[test]
+fn without_options_it_is_the_shipped_network() {
+    let folder = Folder::new();
+    folder.write("scene.json", SCENE);
+    folder.succeed("simulate scene.json --steps 3");
+    let record = folder.json("out/scene/run.json");
+    assert_eq!((&record["solver"], &record["weights"]["name"]), (&"network".into(), &"default".into()));
+    folder.succeed("simulate scene.json --weights default --steps 3 --out named");
+    assert!(folder.files("out/scene") == folder.files("named"));
+    // Water is what it knows; another network takes other liquids.
+    folder.write("thick.json", scene_with(r#""viscosity": 0.2"#));
+    let run = folder.run("simulate thick.json --steps 3 --out thick");
+    assert!(run.code == Some(1) && run.stderr.contains("made for 0.01"), "{}", run.stderr);
+    folder.succeed("simulate thick.json --weights viscosity --steps 3 --out thick");
+    let run = folder.run("simulate scene.json --weights viscous --steps 3 --out viscous");
+    assert!(run.code == Some(1) && run.stderr.contains("there are default, viscosity"), "{}", run.stderr);
+}
+
+#[test]
 fn n_steps_write_n_plus_one_frames_in_every_format() {
     let folder = Folder::new();
     folder.write("scene.json", SCENE);
@@ -85,13 +103,16 @@ fn a_killed_run_goes_on_to_the_same_bytes() {
 fn control_c_leaves_whole_frames() {
     let folder = Folder::new();
     folder.write("scene.json", SCENE);
-    let stopped = folder.interrupt("simulate scene.json --steps 100000 --out out", "out/fluid_0003.npz");
+    let stopped =
+        folder.interrupt("simulate scene.json --solver pbf --steps 100000 --out out", "out/fluid_0003.npz");
     assert!(stopped.stderr.contains("--resume"), "{}", stopped.stderr);
     let frames = folder.files("out").keys().filter(|name| name.starts_with("fluid_")).count();
     let state = folder.succeed("inspect out/state.npz --json").last_json();
     assert_eq!(state["particles"], 64);
-    let run =
-        folder.succeed(&format!("simulate scene.json --steps {} --out out --resume --json", frames + 1));
+    let run = folder.succeed(&format!(
+        "simulate scene.json --solver pbf --steps {} --out out --resume --json",
+        frames + 1
+    ));
     assert_eq!(run.last_json()["steps"], frames + 1);
 }
 
@@ -100,17 +121,17 @@ fn resuming_another_run_is_refused() {
     let folder = Folder::new();
     folder.write("scene.json", SCENE);
     folder.write("other.json", scene_with(r#""gravity": [0, -5, 0]"#));
-    folder.succeed("simulate scene.json --steps 2 --out out");
+    folder.succeed("simulate scene.json --solver pbf --steps 2 --out out");
     let before = folder.files("out");
     for (arguments, word) in [
-        ("simulate other.json --steps 4 --out out --resume", "scene"),
-        ("simulate scene.json --steps 4 --out out --resume --seed 1", "seed"),
-        ("simulate scene.json --steps 4 --out out --resume --format ply", "formats"),
+        ("simulate other.json --solver pbf --steps 4 --out out --resume", "scene"),
+        ("simulate scene.json --solver pbf --steps 4 --out out --resume --seed 1", "seed"),
+        ("simulate scene.json --solver pbf --steps 4 --out out --resume --format ply", "formats"),
         (
-            "simulate scene.json --steps 4 --out out --resume --solver-dt 0.002",
+            "simulate scene.json --solver pbf --steps 4 --out out --resume --solver-dt 0.002",
             "solver_dt_max: 0.004, now: none",
         ),
-        ("simulate scene.json --steps 4 --out out", "--resume"),
+        ("simulate scene.json --solver pbf --steps 4 --out out", "--resume"),
     ] {
         let run = folder.run(arguments);
         assert_eq!(run.code, Some(1), "{arguments}");
@@ -118,10 +139,10 @@ fn resuming_another_run_is_refused() {
         assert!(folder.files("out") == before, "{arguments}: changed the run");
     }
     // More steps, then again from the beginning: the same bytes.
-    folder.succeed("simulate scene.json --steps 4 --out out --resume");
+    folder.succeed("simulate scene.json --solver pbf --steps 4 --out out --resume");
     let extended = folder.files("out");
     folder.write("out/notes.txt", "mine");
-    folder.succeed("simulate scene.json --steps 4 --out out --overwrite");
+    folder.succeed("simulate scene.json --solver pbf --steps 4 --out out --overwrite");
     assert_eq!(std::fs::read(folder.path("out/notes.txt")).unwrap(), b"mine");
     std::fs::remove_file(folder.path("out/notes.txt")).unwrap();
     assert!(folder.files("out") == extended);
@@ -131,10 +152,11 @@ fn resuming_another_run_is_refused() {
 fn a_run_that_has_ended_keeps_its_record() {
     let folder = Folder::new();
     folder.write("scene.json", SCENE);
-    folder.succeed("simulate scene.json --steps 3 --out out");
+    folder.succeed("simulate scene.json --solver pbf --steps 3 --out out");
     let record = std::fs::read(folder.path("out/run.json")).unwrap();
     for steps in [3, 1] {
-        let run = folder.succeed(&format!("simulate scene.json --steps {steps} --out out --resume --json"));
+        let run = folder
+            .succeed(&format!("simulate scene.json --solver pbf --steps {steps} --out out --resume --json"));
         assert_eq!(run.last_json()["steps"], 3);
         assert!(run.last_json()["ms_per_step"].as_f64().unwrap() > 0.0);
         assert!(std::fs::read(folder.path("out/run.json")).unwrap() == record);
@@ -143,7 +165,7 @@ fn a_run_that_has_ended_keeps_its_record() {
     let mut changed = folder.json("out/run.json");
     changed["kernel"] = "abacus".into();
     folder.write("out/run.json", changed.to_string());
-    let run = folder.succeed("simulate scene.json --steps 4 --out out --resume");
+    let run = folder.succeed("simulate scene.json --solver pbf --steps 4 --out out --resume");
     assert!(run.stderr.contains("abacus"), "{}", run.stderr);
     let record = folder.json("out/run.json");
     assert_eq!(record["earlier"][0]["kernel"], "abacus");
@@ -155,7 +177,7 @@ fn speeds_beyond_all_measure_stay_numbers() {
     let folder = Folder::new();
     let body = r#""shape": "box", "scale": 0.2, "translation": [0, 0.3, 0], "velocity": [1e20, 0, 0]"#;
     folder.write("scene.json", scene_of(body));
-    folder.run("simulate scene.json --steps 1 --out out");
+    folder.run("simulate scene.json --solver pbf --steps 1 --out out");
     let record = folder.json("out/run.json");
     let summary = &record["summary"];
     assert!(summary.is_null() || summary["highest_speed"].is_number(), "{summary}");
@@ -167,21 +189,26 @@ fn fluids_that_start_too_late_are_a_warning() {
     let folder = Folder::new();
     let late = r#""shape": "box", "scale": 0.2, "translation": [0, 0.3, 0], "start": 5"#;
     folder.write("scene.json", scene_of(late));
-    let run = folder.succeed("simulate scene.json --steps 3 --out out");
+    let run = folder.succeed("simulate scene.json --solver pbf --steps 3 --out out");
     assert!(run.stderr.contains("no particles within 3 steps"), "{}", run.stderr);
-    assert!(!folder.succeed("simulate scene.json --steps 5 --out long").stderr.contains("no particles"));
+    assert!(
+        !folder
+            .succeed("simulate scene.json --solver pbf --steps 5 --out long")
+            .stderr
+            .contains("no particles")
+    );
 }
 
 #[test]
 fn frames_that_are_no_run_are_never_replaced() {
     let folder = Folder::new();
     folder.write("scene.json", SCENE);
-    folder.succeed("simulate scene.json --steps 2 --out out");
+    folder.succeed("simulate scene.json --solver pbf --steps 2 --out out");
     std::fs::remove_file(folder.path("out/state.npz")).unwrap();
     let before = folder.files("out");
     // Another run without a state file, then frames of whoever made them.
-    let other = "simulate scene.json --steps 4 --out out --resume --seed 1";
-    let same = "simulate scene.json --steps 4 --out out --resume";
+    let other = "simulate scene.json --solver pbf --steps 4 --out out --resume --seed 1";
+    let same = "simulate scene.json --solver pbf --steps 4 --out out --resume";
     let refused = |arguments: &str, word: &str| {
         let run = folder.run(arguments);
         assert_eq!(run.code, Some(1), "{arguments}: {}", run.stderr);
@@ -195,7 +222,7 @@ fn frames_that_are_no_run_are_never_replaced() {
     // The record of this very run says that it was killed before its first state.
     folder.write("out/run.json", record);
     folder.succeed(same);
-    folder.succeed("simulate scene.json --steps 4 --out whole");
+    folder.succeed("simulate scene.json --solver pbf --steps 4 --out whole");
     assert!(folder.files("out") == folder.files("whole"));
 }
 
@@ -203,11 +230,11 @@ fn frames_that_are_no_run_are_never_replaced() {
 fn where_a_run_goes_by_default() {
     let folder = Folder::new();
     folder.write("scene.json", SCENE);
-    folder.succeed("simulate scene.json --steps 1");
+    folder.succeed("simulate scene.json --solver pbf --steps 1");
     assert!(folder.path("out/scene/fluid_0001.npz").exists());
     // A directory of the name of a shipped scene does not hide the scene.
-    folder.succeed("simulate dam_break --steps 0 --out dam_break");
-    folder.succeed("simulate dam_break --steps 0 --out dam_break --resume");
+    folder.succeed("simulate dam_break --solver pbf --steps 0 --out dam_break");
+    folder.succeed("simulate dam_break --solver pbf --steps 0 --out dam_break --resume");
 }
 
 #[test]
@@ -228,18 +255,16 @@ fn the_precision_is_recorded_and_a_run_keeps_it() {
     folder.succeed(&format!("{network} --steps 4 --out out --resume --precision bf16 --threads 2"));
     folder.succeed(&format!("{network} --steps 4 --out whole --precision bf16 --threads 1"));
     assert!(folder.files("out") == folder.files("whole"));
-    // Position-based fluids have no such products.
-    assert_eq!(folder.run("simulate scene.json --precision bf16 --out pbf").code, Some(2));
 }
 
 #[test]
 fn a_damaged_state_is_an_error() {
     let folder = Folder::new();
     folder.write("scene.json", SCENE);
-    folder.succeed("simulate scene.json --steps 2 --out out");
+    folder.succeed("simulate scene.json --solver pbf --steps 2 --out out");
     let whole = std::fs::read(folder.path("out/state.npz")).unwrap();
     folder.write("out/state.npz", &whole[..whole.len() / 2]);
-    let run = folder.run("simulate scene.json --steps 4 --out out --resume");
+    let run = folder.run("simulate scene.json --solver pbf --steps 4 --out out --resume");
     assert_eq!(run.code, Some(1));
     assert!(run.stderr.starts_with("error: out/state.npz: "), "{}", run.stderr);
     assert_eq!(run.stderr.lines().count(), 1);
@@ -252,7 +277,7 @@ fn emitters_and_what_falls_out() {
     let jet = r#""shape": "box", "scale": [0.2, 0.05, 0.2], "translation": [0, 0.6, 0], "velocity": [0, -3, 0],
         "start": 1, "stop": 6, "step": 2"#;
     folder.write("scene.json", scene_of(jet));
-    folder.succeed("simulate scene.json --steps 8 --out out");
+    folder.succeed("simulate scene.json --solver pbf --steps 8 --out out");
     let counts: Vec<u64> = (0..=8)
         .map(|k| folder.succeed(&format!("inspect out/fluid_{k:04}.npz --json")).last_json())
         .map(|found| found["particles"].as_u64().unwrap())
@@ -261,7 +286,7 @@ fn emitters_and_what_falls_out() {
 
     // Beside the container nothing holds it.
     folder.write("scene.json", scene_of(r#""shape": "box", "scale": 0.1, "translation": [3, 0.3, 0]"#));
-    let run = folder.succeed("simulate scene.json --steps 40 --out fallen --json");
+    let run = folder.succeed("simulate scene.json --solver pbf --steps 40 --out fallen --json");
     let summary = run.last_json();
     assert_eq!((summary["particles"].as_u64(), summary["removed"].as_u64()), (Some(0), Some(8)));
     assert!(run.stderr.contains("warning: ") && run.stderr.contains("removed"), "{}", run.stderr);
@@ -273,11 +298,11 @@ fn warnings_are_lines_and_quiet_is_quiet() {
     let folder = Folder::new();
     let overlap = r#""shape": "box", "scale": 0.2, "translation": [0, 0.4, 0], "stop": 3"#;
     folder.write("scene.json", scene_of(overlap));
-    let run = folder.succeed("simulate scene.json --steps 4 --out a");
+    let run = folder.succeed("simulate scene.json --solver pbf --steps 4 --out a");
     let lines: Vec<&str> = run.stderr.lines().collect();
     assert!(lines.iter().all(|line| line.starts_with("warning: ")), "{}", run.stderr);
     assert!(lines[0].contains("fluids[0]") && lines[0].contains("step"), "{}", run.stderr);
-    let run = folder.succeed("simulate scene.json --steps 4 --out b --quiet");
+    let run = folder.succeed("simulate scene.json --solver pbf --steps 4 --out b --quiet");
     assert_eq!((run.stdout.as_str(), run.stderr.as_str()), ("", ""));
 }
 
@@ -289,7 +314,7 @@ fn a_full_disk() {
     folder.write("scene.json", SCENE);
     let disk = folder.path("disk");
     let Some(small) = SmallDisk::mount(&disk, "384k") else { return };
-    let run = folder.run("simulate scene.json --steps 300 --out disk/out");
+    let run = folder.run("simulate scene.json --solver pbf --steps 300 --out disk/out");
     let files = folder.files("disk/out");
     let moved = folder.path("moved");
     std::fs::create_dir(&moved).unwrap();
@@ -303,7 +328,7 @@ fn a_full_disk() {
     assert_eq!(run.stderr.lines().count(), 1);
     assert!(files.keys().all(|name| !name.contains("tmp")), "{:?}", files.keys());
     // Elsewhere it goes on to the bytes of a run that was never stopped.
-    folder.succeed("simulate scene.json --steps 300 --out moved --resume");
-    folder.succeed("simulate scene.json --steps 300 --out whole");
+    folder.succeed("simulate scene.json --solver pbf --steps 300 --out moved --resume");
+    folder.succeed("simulate scene.json --solver pbf --steps 300 --out whole");
     assert!(folder.files("moved") == folder.files("whole"));
 }

@@ -8,7 +8,7 @@ use crate::common::{Folder, SCENE, fixture};
 fn with_run() -> Folder {
     let folder = Folder::new();
     folder.write("scene.json", SCENE);
-    folder.succeed("simulate scene.json --steps 6 --out out --format npz,vtu");
+    folder.succeed("simulate scene.json --solver pbf --steps 6 --out out --format npz,vtu");
     folder
 }
 
@@ -111,6 +111,8 @@ fn inspect_says_what_is_in_each_kind_of_file() {
         let text = folder.succeed(&format!("inspect {path}")).stdout;
         assert!(text.lines().count() >= 4, "{path}: {text}");
     }
+    let weights = folder.succeed("inspect default --json").last_json();
+    assert!(weights["metadata"]["fluvia"]["training"]["updates"].is_u64(), "{}", weights["metadata"]);
     folder.write("notes.txt", "mine");
     for (path, word) in [
         ("none.pt", "No such file"),

@@ -3,7 +3,7 @@
 use std::process::Stdio;
 use std::time::Duration;
 
-use crate::common::Folder;
+use crate::common::{Folder, scene_with};
 
 const DATA: &str = "generate --preset default --scenes 2 --valid 1 --duration 0.3 --particles 1000..1200 \
                     --solver-dt-max 0.005 --out data --quiet";
@@ -56,28 +56,36 @@ fn lines(folder: &Folder, run: &str) -> Vec<serde_json::Value> {
     lines
 }
 
+/// How often a training is killed.
+const KILLS: usize = 20;
+
 #[test]
 fn a_killed_training_ends_with_the_same_weights() {
     let folder = folder();
+    folder.write(
+        "config.toml",
+        CONFIG.replace("updates = 24", "updates = 120").replace("every = 6", "every = 30"),
+    );
     folder.succeed("train config.toml --data data --out whole");
     let whole = numbers(&folder, "whole/weights.safetensors");
-    let mut killed = 0;
-    for k in 0..30u64 {
-        let resume = if k == 0 { "" } else { "--resume" };
+    let metrics = folder.path("killed/metrics.jsonl");
+    let count = || std::fs::read_to_string(&metrics).unwrap_or_default().lines().count();
+    for k in 0..KILLS {
         let threads = 1 + k % 2;
         let mut command = folder.command(&format!(
-            "train config.toml --data data --out killed --checkpoint 3 --threads {threads} --quiet {resume}"
+            "train config.toml --data data --out killed --checkpoint 2 --threads {threads} --quiet --resume"
         ));
         let mut child = command.stderr(Stdio::null()).stdout(Stdio::null()).spawn().unwrap();
-        std::thread::sleep(Duration::from_millis(60 + 83 * (k * k % 11)));
-        if child.try_wait().unwrap().is_some() {
-            break;
+        // Between none and five updates later, at any moment of one.
+        let (start, more) = (count(), k * k % 6);
+        while count() < start + more {
+            assert!(child.try_wait().unwrap().is_none(), "ended before kill {k}");
+            std::thread::sleep(Duration::from_millis(1));
         }
+        std::thread::sleep(Duration::from_millis((7 * k % 23) as u64));
         child.kill().unwrap();
-        child.wait().unwrap();
-        killed += 1;
+        assert!(!child.wait().unwrap().success());
     }
-    println!("killed {killed} times");
     folder.succeed("train config.toml --data data --out killed --resume");
     assert!(numbers(&folder, "killed/weights.safetensors") == whole);
     assert!(numbers(&folder, "killed/best.safetensors") == numbers(&folder, "whole/best.safetensors"));
@@ -171,8 +179,9 @@ fn a_training_that_explodes() {
     folder.write("wild.toml", CONFIG.replace("highest = 0.01", "highest = 1e30"));
     folder.fail("train wild.toml --data data --out wild", &["not finite in update"]);
     let updates = lines(&folder, "wild").len();
-    let inspected = folder.succeed("inspect wild/weights.safetensors").stdout;
-    assert!(updates > 0 && inspected.contains(&format!(r#"\"updates\":{updates},"#)), "{inspected}");
+    let inspected = folder.succeed("inspect wild/weights.safetensors --json").last_json();
+    let trained = &inspected["metadata"]["fluvia"]["training"]["updates"];
+    assert!(updates > 0 && *trained == updates, "{inspected}");
     folder.fail("train wild.toml --data data --out wild --resume --quiet", &["not finite in update"]);
 
     let command = "evaluate --weights wild/weights.safetensors --data data --out report --json";
@@ -186,6 +195,35 @@ fn a_training_that_explodes() {
     assert!(folder.path("report/sim_0003.svg").exists());
 }
 
+/// Nothing that was trained is lost to a training that begins, unless it is told to.
+#[test]
+fn trained_weights_are_kept() {
+    let folder = folder();
+    folder.succeed("train config.toml --data data --out run --updates 6");
+    let before = folder.files("run");
+    let refused = |arguments: &str, words: &[&str]| {
+        folder.fail(&format!("train {arguments} --out run"), words);
+        assert!(folder.files("run") == before, "{arguments}");
+    };
+    refused("config.toml --data data --updates 6", &["checkpoint.safetensors", "--overwrite"]);
+    // What cannot begin does not end what is there.
+    folder.write("long.toml", CONFIG.replace("lead = 2", "lead = 60"));
+    refused("long.toml --data data --overwrite", &["data/train", "63"]);
+    folder.write("odd.toml", CONFIG.replace("[network]", "[network]\ngravity = [nan, 0, 0]"));
+    refused("odd.toml --data data --overwrite", &["gravity"]);
+    // Weights without a checkpoint.
+    std::fs::remove_file(folder.path("run/checkpoint.safetensors")).unwrap();
+    let before = folder.files("run");
+    folder.fail("train config.toml --data data --out run", &["weights.safetensors", "--overwrite"]);
+    folder.fail("train config.toml --data data --out run --resume", &["no checkpoint.safetensors"]);
+    assert!(folder.files("run") == before);
+    folder.succeed(
+        "train config.toml --data data --out run --updates 2 --weights run/best.safetensors --overwrite",
+    );
+    let events = folder.files("run").keys().filter(|name| name.starts_with("events.")).count();
+    assert_eq!(events, 1);
+}
+
 #[test]
 fn settings_must_be_those_of_the_data() {
     let folder = folder();
@@ -197,6 +235,13 @@ fn settings_must_be_those_of_the_data() {
     folder.fail("train light.toml --data data --out new", &["sim_0001.json", "`gravity`", "-9.81", "-1.6"]);
     folder.write("slow.toml", CONFIG.replace("[network]", "[network]\ndt = 0.01"));
     folder.fail("train slow.toml --data data --out new", &["sim_0001.json", "`dt`", "0.02 s", "0.01 s"]);
+    // A sequence without a record has its particles.
+    folder.succeed("generate --preset viscosity --scenes 1 --valid 0 --duration 0.2 --particles 1000..1200 --out thick --quiet");
+    std::fs::remove_file(folder.path("thick/train/sim_0001.json")).unwrap();
+    folder.fail(
+        "train config.toml --data thick --out new",
+        &["thick/train/sim_0001_00", "`viscosity`", "0.01"],
+    );
     assert!(!folder.path("new").exists());
 }
 
@@ -212,6 +257,26 @@ fn weights_to_begin_with() {
     );
     let inspected = folder.succeed("inspect wider/weights.safetensors").stdout;
     assert!(inspected.contains("viscosity"), "{inspected}");
+    // What goes on has its weights, and its record says where they are from.
+    folder.succeed(
+        "train viscosity.toml --data data --out later --updates 2 --weights plain/weights.safetensors",
+    );
+    std::fs::rename(folder.path("plain"), folder.path("moved")).unwrap();
+    folder.succeed("train viscosity.toml --data data --out later --updates 2 --resume");
+    let named = CONFIG.replace("[training]", "[training]\nweights = \"plain/best.safetensors\"");
+    folder.write("named.toml", named);
+    folder.fail("train named.toml --data data --out named", &["plain/best.safetensors"]);
+    std::fs::rename(folder.path("moved"), folder.path("plain")).unwrap();
+    folder.succeed("train named.toml --data data --out named --updates 1");
+    let record = folder.json("named/config.json");
+    assert_eq!(record["first_weights"]["name"], "plain/best.safetensors");
+    assert_eq!(record["first_weights"]["training"]["updates"], 3);
+    assert_eq!(record["data"]["sets"][0]["preset"], "default");
+    assert!(record["made_with"]["threads"].as_u64().unwrap() > 0);
+    // It has learned from the viscosities of its data.
+    folder.write("thick.json", scene_with(r#""viscosity": 0.2"#));
+    let run = folder.run("simulate thick.json --weights wider/weights.safetensors --steps 1 --out thick");
+    assert!(run.code == Some(1) && run.stderr.contains("learned from 0.01 to 0.01"), "{}", run.stderr);
     // Not the other way round.
     folder.fail(
         "train config.toml --data data --out narrower --weights wider/weights.safetensors",
@@ -244,7 +309,9 @@ fn variants_side_by_side() {
         let command = command.replace("--out table", &format!("--out {out}"));
         let stopped = folder.interrupt(&command, file);
         assert!(stopped.stderr.contains("the same command goes on"), "{}", stopped.stderr);
-        assert!(!folder.path(&format!("{out}/ablation.md")).exists());
+        // What is done is a table; the evaluation may have been too fast to be stopped.
+        let table = std::fs::read_to_string(folder.path(&format!("{out}/ablation.md"))).unwrap_or_default();
+        assert!(table.contains("not done yet") || out == "evaluates", "{table}");
         assert_eq!(folder.succeed(&command).stdout, printed);
     }
     // What is there is not made again.
@@ -257,10 +324,19 @@ fn variants_side_by_side() {
     folder.succeed("train base.toml --data data --updates 5 --out table/base/seed_0 --overwrite");
     folder.succeed("ablate base.toml --data data --updates 5 --seeds 1 --out table");
     assert!(folder.json("table/ablation.json")[0]["figures"][0]["err_n1_mm"] != error(0, 0));
+    // What cannot be trained stops all before the first update.
+    folder.write("moon.toml", CONFIG.replace("[network]", "[network]\ngravity = [0, -1.6, 0]"));
+    folder.fail("ablate base.toml moon.toml --data data --updates 5 --out other", &["`gravity`", "-1.6"]);
+    folder.write("long.toml", CONFIG.replace("lead = 2", "lead = 60"));
+    folder.fail("ablate base.toml long.toml --data data --updates 5 --out other", &["data/train", "63"]);
+    assert!(!folder.path("other").exists());
     // What cannot be evaluated is not trained.
     std::fs::remove_dir_all(folder.path("data/valid")).unwrap();
     std::fs::create_dir(folder.path("data/valid")).unwrap();
-    folder.fail("ablate base.toml --data data --updates 5 --seeds 1 --out other", &["data"]);
+    folder.fail(
+        "ablate base.toml --data data --updates 5 --seeds 1 --out other",
+        &["data/valid", "no sequences"],
+    );
     assert!(!folder.path("other").exists());
 }
 
@@ -318,6 +394,8 @@ fn memory_stays_flat() {
     folder.write(
         "config.toml",
         CONFIG
+            // The sequences of the fixture are of several liquids.
+            .replace("[network]", "[network]\nviscosity = true")
             .replace("updates = 24", "updates = 2400")
             .replace("every = 6", "every = 50")
             .replace("lead = 2", "lead = 1"),
