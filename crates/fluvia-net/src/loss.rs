@@ -9,8 +9,9 @@
 //! The paper sums where the published code takes means and multiplies with s, the inverse of the scale of the network's
 //! output: what Adam makes of the gradient does not depend on it but for its ε. φ counts as a constant. With velocities in
 //! the loss, L_k has the same term for Δt |v_i − v̂_i| / 2, half the way that the difference makes in a step, with the
-//! same φ_i; with compression, it has 1/N Σ_i κ max(0, ρ_i / ρ_0 − 1), which no distance to the truth tells from a shift; with walls,
-//! 1/N Σ_i λ max(0, 1/2 − d_i / r), for what is far off, as what has left through a wall, hardly moves Eq. 16.
+//! same φ_i; with compression, it has 1/N Σ_i κ max(0, ρ_i / ρ_0 − 1), which no distance to the truth tells from a shift;
+//! with walls, 1/N Σ_i λ max(0, 1/2 − d_i / r), for what is far off, as what has left through a wall, hardly moves
+//! Eq. 16.
 
 use fluvia_neighbors::Point;
 

@@ -182,9 +182,9 @@ fn figures(
     interrupted: &AtomicBool,
     report: &Report,
 ) -> Result<Option<Value>> {
-    let path = plan.out.join(FIGURES);
+    let (path, valid) = (plan.out.join(FIGURES), args.data.join(VALID));
     let (bytes, source) = read_source(&trained.weights)?;
-    let of = json!({ "weights_sha256": source.sha256, "data": sizes(&args.data.join(VALID))? });
+    let of = json!({ "weights_sha256": source.sha256, "data": sizes(&valid)? });
     if path.exists() {
         let mut old: Value = frames::read_json(&path)?;
         if old["of"] == of {
@@ -192,7 +192,7 @@ fn figures(
         }
     }
     let weights = weights::from_bytes(&trained.weights, bytes)?;
-    let Some(figures) = evaluate::of_weights(weights, &args.data.join(VALID), interrupted, report)? else {
+    let Some(figures) = evaluate::of_weights(weights, &valid, interrupted, report)? else {
         return Ok(None);
     };
     let figures = serde_json::to_value(figures)?;

@@ -31,8 +31,7 @@ Examples:
 pub struct Args {
     /// Weights (.pt, .h5, .safetensors), a scene (.json), particles or a frame (.npz, .ply, .bgeo, .vtu, .vtk), a
     /// mesh (.obj, .ply, .stl), the directory of a run, a sequence (its folder, a part file, or the common prefix of its
-    /// parts), the folder of a data set, or the name of a shipped scene or of shipped
-    /// weights (default, viscosity).
+    /// parts), the folder of a data set, or the name of a shipped scene or of shipped weights (default, viscosity).
     path: PathBuf,
     /// Seconds between the frames of sequences, which do not record it.
     #[arg(long, value_name = "SECONDS", value_parser = positive, default_value_t = DEFAULT_DT)]
@@ -115,7 +114,8 @@ fn weight_file(summary: &WeightSummary) -> Value {
     })
 }
 
-/// A text, or the object that it is the JSON of, with the texts in that: metadata are texts, and so are training records in them.
+/// A text, or the object that it is the JSON of, with the texts in that: metadata are texts, and so are training records
+/// in them.
 fn unpacked(text: &str) -> Value {
     match serde_json::from_str(text) {
         Ok(Value::Object(entries)) => {

@@ -70,8 +70,8 @@ pub struct Args {
     /// The seed; that of the settings if not given.
     #[arg(long, value_name = "S")]
     seed: Option<u64>,
-    /// Begin with these weights, a file or the name of shipped ones (default, viscosity), not with random ones. Where the settings have the viscosity as an input and these weights do
-    /// not, it begins without influence.
+    /// Begin with these weights, a file or the name of shipped ones (default, viscosity), not with random ones. Where
+    /// the settings have the viscosity as an input and these weights do not, it begins without influence.
     #[arg(long, value_name = "FILE")]
     weights: Option<PathBuf>,
     /// Updates from one checkpoint to the next.

@@ -11,7 +11,7 @@ use anyhow::{Result, bail};
 use cconv::Kernel;
 use fluvia_net::dataset::DataSet;
 use fluvia_net::weights::Weights;
-use serde_json::{Map, Value, json};
+use serde_json::{Value, json};
 
 use super::Plan;
 use super::config::Config;
@@ -116,7 +116,7 @@ fn complete(value: &mut Value, defaults: &Value) {
 
 /// Removes an entry; null if there is none.
 fn take(value: &mut Value, key: &str) -> Value {
-    value.as_object_mut().and_then(|entries: &mut Map<String, Value>| entries.remove(key)).unwrap_or_default()
+    value.as_object_mut().and_then(|entries| entries.remove(key)).unwrap_or_default()
 }
 
 /// The name of the processor, as far as the system tells it.
