@@ -1,5 +1,6 @@
 //! Makes the solver that was asked for, after making sure that it can honour the scene.
 
+use std::fmt;
 use std::path::Path;
 
 use anyhow::{Context, Result, anyhow, bail};
@@ -64,7 +65,7 @@ impl Choice {
             Choice::Dfsph(_) => check_dfsph(scene),
             Choice::Pbf(_) => check_pbf(scene),
             Choice::Network(weights, _) => {
-                check_network(scene, &weights.config).map_err(|error| advised(&error))?;
+                check_network(scene, &weights.config).map_err(|unfit| unfit.advised())?;
                 scene.dt = Some(weights.config.dt);
                 scene.particle_radius = Some(weights.config.particle_radius);
                 Ok(())
@@ -81,11 +82,15 @@ impl Choice {
         match self {
             Choice::Network(weights, _) => {
                 let config = &weights.config;
-                check(path, "dt", Some(setup.dt), config.dt, "s")?;
-                check(path, "particle_radius", Some(setup.particle_radius), config.particle_radius, "m")?;
-                materials
-                    .try_for_each(|material| check_material(path, "", material, config))
-                    .map_err(|error| advised(&error))
+                check(path, "dt", Some(setup.dt), config.dt, "s")
+                    .and_then(|()| {
+                        let radius = Some(setup.particle_radius);
+                        check(path, "particle_radius", radius, config.particle_radius, "m")
+                    })
+                    .and_then(|()| {
+                        materials.try_for_each(|material| check_material(path, "", material, config))
+                    })
+                    .map_err(|unfit| unfit.advised())
             }
             Choice::Dfsph(_) => {
                 check_densities(path, materials.clone())?;
@@ -289,16 +294,34 @@ fn named(density: Option<f32>) -> String {
     density.map_or("none given".into(), |density| format!("{density} kg/m³"))
 }
 
-/// What a network cannot honour, with what may.
-fn advised(error: &anyhow::Error) -> anyhow::Error {
-    anyhow!("{error} (--weights viscosity takes other viscosities, --solver dfsph more)")
+/// A value that a network is not made for.
+#[derive(Debug)]
+pub struct Unfit {
+    message: String,
+    /// What takes it.
+    advice: &'static str,
 }
+
+impl Unfit {
+    /// The value, with what takes it.
+    fn advised(&self) -> anyhow::Error {
+        anyhow!("{} ({})", self.message, self.advice)
+    }
+}
+
+impl fmt::Display for Unfit {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.message)
+    }
+}
+
+impl std::error::Error for Unfit {}
 
 /// Checks the keys of a scene against what a network was made for.
 ///
 /// # Errors
 /// One line that names the scene file, the key and the value that would be honoured.
-pub fn check_network(scene: &Scene, config: &Config) -> Result<()> {
+pub fn check_network(scene: &Scene, config: &Config) -> Result<(), Unfit> {
     let path = &scene.path;
     check(path, "dt", scene.dt, config.dt, "s")?;
     check(path, "particle_radius", scene.particle_radius, config.particle_radius, "m")?;
@@ -314,25 +337,40 @@ pub fn check_network(scene: &Scene, config: &Config) -> Result<()> {
 ///
 /// # Errors
 /// One line that names the file, the key and the value that would be honoured.
-pub fn check_material(path: &Path, prefix: &str, material: Material, config: &Config) -> Result<()> {
+pub fn check_material(path: &Path, prefix: &str, material: Material, config: &Config) -> Result<(), Unfit> {
     let takes_viscosity = config.extra_inputs.iter().any(|input| input == "viscosity");
     match (takes_viscosity, material.viscosity, config.viscosity_range) {
-        (false, viscosity, _) => check(path, &format!("{prefix}viscosity"), viscosity, config.viscosity, "")?,
-        (true, Some(value), Some([low, high])) if !(low..=high).contains(&value) => bail!(
-            "{}: `{prefix}viscosity`: {value}, but the network has learned from {low} to {high}",
-            path.display()
-        ),
+        (false, viscosity, _) => {
+            let advice = "--weights viscosity takes other viscosities, --solver dfsph more";
+            check(path, &format!("{prefix}viscosity"), viscosity, config.viscosity, "")
+                .map_err(|unfit| Unfit { advice, ..unfit })?;
+        }
+        (true, Some(value), Some([low, high])) if !(low..=high).contains(&value) => {
+            let path = path.display();
+            return Err(Unfit {
+                message: format!(
+                    "{path}: `{prefix}viscosity`: {value}, but the network has learned from {low} to {high}"
+                ),
+                advice: SOLVER,
+            });
+        }
         _ => {}
     }
     check(path, &format!("{prefix}density"), material.density, config.density, "kg/m³")
 }
 
+/// What takes most values that a network does not.
+const SOLVER: &str = "--solver dfsph takes others";
+
 /// A value that the scene gives must be the one that the network is made for.
-fn check(path: &Path, key: &str, given: Option<f32>, made_for: f32, unit: &str) -> Result<()> {
+fn check(path: &Path, key: &str, given: Option<f32>, made_for: f32, unit: &str) -> Result<(), Unfit> {
     match given {
         Some(value) if value != made_for => {
             let unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
-            bail!("{}: `{key}`: {value}{unit}, but the network is made for {made_for}{unit}", path.display())
+            let path = path.display();
+            let message =
+                format!("{path}: `{key}`: {value}{unit}, but the network is made for {made_for}{unit}");
+            Err(Unfit { message, advice: SOLVER })
         }
         _ => Ok(()),
     }

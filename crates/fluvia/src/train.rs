@@ -249,8 +249,6 @@ struct Run<'a> {
     place: Place,
     loader: Loader,
     validation: Option<Validation>,
-    /// What the last validation found.
-    validated: Option<Line>,
     log: Log,
     bar: ProgressBar,
     /// When this process began, and the seconds of those before.
@@ -263,6 +261,7 @@ impl<'a> Run<'a> {
         let damaged = if plan.skip_damaged { Damaged::Skip } else { Damaged::Stop };
         let sampling = config.sampling(damaged);
         let data = Opened::of(plan)?;
+        let (trainer, place, begins) = first_state(plan, &data, report)?;
         let validation = match &data.valid {
             Some(valid) => Some(Validation::read(valid, &sampling, config.validation.windows)?),
             None => {
@@ -270,7 +269,6 @@ impl<'a> Run<'a> {
                 None
             }
         };
-        let (trainer, place, begins) = first_state(plan, &data, report)?;
         let loader = Loader::start(&data.train, sampling, place.position)?;
         // Nothing can be wrong any more but the disk.
         if begins {
@@ -287,7 +285,7 @@ impl<'a> Run<'a> {
         bar.set_position(place.updates);
         bar.reset_eta();
         let start = (Instant::now(), place.seconds);
-        Ok(Run { plan, report, trainer, place, loader, validation, validated: None, log, bar, start })
+        Ok(Run { plan, report, trainer, place, loader, validation, log, bar, start })
     }
 
     fn train(mut self, interrupted: &AtomicBool) -> Result<Option<Trained>> {
@@ -302,7 +300,7 @@ impl<'a> Run<'a> {
                 Ok(progress) => progress,
                 Err(error) => {
                     // The weights are still those of the update before.
-                    self.save()?;
+                    self.save().with_context(|| error.to_string())?;
                     return Err(error.into());
                 }
             };
@@ -352,9 +350,7 @@ impl<'a> Run<'a> {
         let error = |step: usize| errors.position.get(step).copied().filter(finite);
         let mm = |step: usize| error(step).map(|metres| 1e3 * metres);
         let (update, loss) = (self.place.updates, Some(errors.loss).filter(finite));
-        let line = Line::Valid { update, loss, err_n1_mm: mm(0), err_n2_mm: mm(1) };
-        self.log.add(&line)?;
-        self.validated = Some(line);
+        self.log.add(&Line::Valid { update, loss, err_n1_mm: mm(0), err_n2_mm: mm(1) })?;
         // By the last step of the windows.
         let Some(judged) = errors.position.last().copied().filter(finite) else { return Ok(()) };
         if self.place.best.is_none_or(|(_, best)| judged < best) {
@@ -370,7 +366,7 @@ impl<'a> Run<'a> {
             "updates": self.place.updates,
             "particle_samples": self.place.particle_samples,
             "seconds": self.seconds().round(),
-            "validation": self.validated,
+            "validation": self.log.validated(),
             "settings": serde_json::from_str::<Value>(&self.place.settings).unwrap_or_default(),
         });
         Weights { training: Some(training.to_string()), ..self.trainer.result() }

@@ -38,6 +38,8 @@ pub struct Log {
     folder: PathBuf,
     /// From the first line on.
     events: Option<Events>,
+    /// The last line of a validation.
+    validated: Option<Line>,
 }
 
 impl Log {
@@ -57,7 +59,13 @@ impl Log {
             Ok(())
         })?;
         let file = OpenOptions::new().append(true).open(&path).with_context(|| path.display().to_string())?;
-        Ok(Log { path, file, folder: folder.to_owned(), events: None })
+        let validated = kept.into_iter().rfind(|line| matches!(line, Line::Valid { .. }));
+        Ok(Log { path, file, folder: folder.to_owned(), events: None, validated })
+    }
+
+    /// What the last validation found, in an earlier run that this one goes on with as well.
+    pub fn validated(&self) -> Option<&Line> {
+        self.validated.as_ref()
     }
 
     pub fn add(&mut self, line: &Line) -> Result<()> {
@@ -78,10 +86,13 @@ impl Log {
                     ("train/particles_per_s", Some(particles_per_s)),
                 ],
             ),
-            Line::Valid { update, loss, err_n1_mm, err_n2_mm } => events.add(
-                update,
-                &[("valid/loss", loss), ("valid/err_n1_mm", err_n1_mm), ("valid/err_n2_mm", err_n2_mm)],
-            ),
+            Line::Valid { update, loss, err_n1_mm, err_n2_mm } => {
+                self.validated = Some(line.clone());
+                events.add(
+                    update,
+                    &[("valid/loss", loss), ("valid/err_n1_mm", err_n1_mm), ("valid/err_n2_mm", err_n2_mm)],
+                )
+            }
         }
     }
 }

@@ -27,7 +27,17 @@ fn without_options_it_is_the_shipped_network() {
     folder.write("thick.json", scene_with(r#""viscosity": 0.2"#));
     let run = folder.run("simulate thick.json --steps 3 --out thick");
     assert!(run.code == Some(1) && run.stderr.contains("made for 0.01"), "{}", run.stderr);
+    assert!(run.stderr.contains("--weights viscosity takes"), "{}", run.stderr);
     folder.succeed("simulate thick.json --weights viscosity --steps 3 --out thick");
+    // Nor do they take all.
+    for (key, weights) in
+        [(r#""viscosity": 0.9"#, "viscosity"), (r#""dt": 0.01"#, "default"), (r#""density": 900"#, "default")]
+    {
+        folder.write("other.json", scene_with(key));
+        let run = folder.run(&format!("simulate other.json --weights {weights} --steps 3 --out other"));
+        assert!(run.code == Some(1), "{key}: {}", run.stderr);
+        assert!(run.stderr.ends_with("(--solver dfsph takes others)\n"), "{key}: {}", run.stderr);
+    }
     let run = folder.run("simulate scene.json --weights viscous --steps 3 --out viscous");
     assert!(run.code == Some(1) && run.stderr.contains("there are default, viscosity"), "{}", run.stderr);
 }

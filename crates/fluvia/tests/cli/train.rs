@@ -56,6 +56,15 @@ fn lines(folder: &Folder, run: &str) -> Vec<serde_json::Value> {
     lines
 }
 
+/// The last validation of a training that validates every 10 updates, by its record in weights.
+fn recorded_validation(folder: &Folder, name: &str) -> u64 {
+    let weights = folder.succeed(&format!("inspect {name} --json")).last_json();
+    let training = &weights["metadata"]["fluvia"]["training"];
+    let last = training["updates"].as_u64().expect("a number of updates") / 10 * 10;
+    assert_eq!(training["validation"]["update"].as_u64().unwrap_or(0), last, "{training}");
+    last
+}
+
 /// How often a training is killed.
 const KILLS: usize = 20;
 
@@ -64,12 +73,13 @@ fn a_killed_training_ends_with_the_same_weights() {
     let folder = folder();
     folder.write(
         "config.toml",
-        CONFIG.replace("updates = 24", "updates = 120").replace("every = 6", "every = 30"),
+        CONFIG.replace("updates = 24", "updates = 120").replace("every = 6", "every = 10"),
     );
     folder.succeed("train config.toml --data data --out whole");
     let whole = numbers(&folder, "whole/weights.safetensors");
     let metrics = folder.path("killed/metrics.jsonl");
     let count = || std::fs::read_to_string(&metrics).unwrap_or_default().lines().count();
+    let mut validated = 0;
     for k in 0..KILLS {
         let threads = 1 + k % 2;
         let mut command = folder.command(&format!(
@@ -85,7 +95,11 @@ fn a_killed_training_ends_with_the_same_weights() {
         std::thread::sleep(Duration::from_millis((7 * k % 23) as u64));
         child.kill().unwrap();
         assert!(!child.wait().unwrap().success());
+        if folder.path("killed/weights.safetensors").exists() {
+            validated = recorded_validation(&folder, "killed/weights.safetensors");
+        }
     }
+    assert!(validated > 0, "killed before the first validation only");
     folder.succeed("train config.toml --data data --out killed --resume");
     assert!(numbers(&folder, "killed/weights.safetensors") == whole);
     assert!(numbers(&folder, "killed/best.safetensors") == numbers(&folder, "whole/best.safetensors"));
