@@ -1,6 +1,6 @@
 #!/bin/sh
 # DFSPH against SPlisHSPlasH: sequences that it made with fixed steps of 1 ms, each simulated from its first frame with
-# its wall particles, and compared: OUT/NAME/compare.md and OUT/NAME.svg.
+# the wall particles recorded beside it, and compared: OUT/NAME/compare.md and OUT/NAME.svg.
 #
 # usage: validation/splishsplash.sh DATA [OUT]     (from the root of the repository; some minutes)
 #
