@@ -3,7 +3,9 @@
 # over time, and the control, two runs at 1 ms that differ only in their wall particles; then the figure itself, the network
 # and DFSPH at 5 ms against DFSPH at 1 ms.
 #
-# usage: validation/figure_6.sh [OUT]     (from the root of the repository; some minutes)
+# usage: validation/figure_6.sh [OUT [WEIGHTS]]     (from the root of the repository; some minutes)
+#
+# WEIGHTS, the published ones say, are set beside ours.
 set -eu
 out=${1:-out/figure_6}
 fluvia="cargo run --release --quiet -p fluvia --"
@@ -16,4 +18,4 @@ run 1ms --solver-dt 0.001
 run 5ms --solver-dt-max 0.005
 run control --solver-dt 0.001 --seed 1
 $fluvia compare 1ms="$out/1ms" 5ms="$out/5ms" --control "$out/control" --out "$out"
-$fluvia evaluate --weights default --solver dfsph --solver-dt-max 0.005 --data "$out/1ms" --out "$out/evaluate"
+$fluvia evaluate --weights default ${2:+--weights "published=$2"} --solver dfsph --solver-dt-max 0.005 --data "$out/1ms" --out "$out/evaluate"

@@ -5,7 +5,7 @@ usage: validation/training_speed.py FLUVIA DATA [--updates 6] [--rounds 3] [--pr
        FLUVIA the program, DATA a folder of sequences in the published format (out/data/train)
 Needs: pip install open3d==0.19.0 torch==2.2.2 "numpy<2" tensorboard msgpack zstandard
 
-In turn on the same cores: some updates of torch with batches of 16 windows, drawn at random, and as many of `fluvia train`. A
+In turn on the same cores: some updates of torch with batches of 16 windows, drawn at random, and three times as many of `fluvia train`. A
 particle counts once for each of the two steps of its window, as in metrics.jsonl. Reading and decompressing are not in the
 time of torch, and not in ours where it waits for nothing.
 """
@@ -97,7 +97,8 @@ def main():
         with tempfile.TemporaryDirectory() as folder:
             folder = pathlib.Path(folder)
             (folder / 'config.toml').write_text(
-                f'[data]\ntrain = ["{args.data.resolve()}"]\n[training]\nprecision = "{args.precision}"\n')
+                f'[data]\ntrain = ["{args.data.resolve()}"]\n[network]\nintegration = "paper"\n'
+                f'[training]\nprecision = "{args.precision}"\n')
             subprocess.run([args.fluvia, 'train', folder / 'config.toml', '--updates', str(3 * args.updates), '--out',
                             folder / 'run', '--threads', '2', '--quiet'], check=True)
             lines = [json.loads(line) for line in (folder / 'run/metrics.jsonl').read_text().splitlines()]

@@ -20,6 +20,9 @@ pub enum Error {
         /// What was found and what was expected.
         message: String,
     },
+    /// A training has come to a number that is not finite.
+    #[error("{0}")]
+    NotFinite(String),
     /// A value given by the caller is out of range or does not fit the others.
     #[error("{0}")]
     Parameter(String),

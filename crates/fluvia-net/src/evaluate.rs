@@ -48,7 +48,7 @@ impl Truth for Sequence {
     }
 }
 
-/// One-step errors from one start, metres; `None` where a number is not finite.
+/// The errors of one and of two steps from one start, metres; `None` where a number is not finite.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StartErrors {
     /// The true frame that it starts from.

@@ -143,7 +143,7 @@ impl Trainer {
     /// The loss of a batch and its gradient by all weights.
     ///
     /// # Errors
-    /// `Parameter` if a position, the loss or a derivative is not finite.
+    /// `NotFinite` if a position, the loss or a derivative is not finite.
     ///
     /// # Panics
     /// If the batch is not made for this network.
@@ -207,7 +207,7 @@ impl Trainer {
 }
 
 fn not_finite(what: &str, updates: u64) -> Error {
-    Error::Parameter(format!("{what} is not finite in update {}", updates + 1))
+    Error::NotFinite(format!("{what} is not finite in update {}", updates + 1))
 }
 
 /// The values of all tensors.

@@ -11,7 +11,7 @@ use std::process::ExitCode;
 use std::sync::atomic::AtomicBool;
 
 use anyhow::{Context, Result, bail};
-use fluvia_net::weights;
+use fluvia_net::{Error, weights};
 use fluvia_sim::frames::{self, sequence};
 use serde::Serialize;
 use serde_json::{Value, json};
@@ -93,7 +93,7 @@ pub struct Args {
 #[derive(Serialize)]
 struct Variant {
     name: String,
-    /// For each seed.
+    /// For each seed; null where its training came to a number that is not finite.
     figures: Vec<Value>,
 }
 
@@ -112,10 +112,11 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
     if !valid.is_dir() || sequence::find(&valid)?.is_empty() {
         bail!("{}: no sequences, expected those that variants are compared on", valid.display());
     }
-    // All that can be wrong shows before the first training.
+    // What can be wrong with settings and data shows before the first training.
     for (config, name) in configs.iter().zip(&names) {
-        evaluate::check(config.first_weights(), &valid, report)?;
-        train::check(&plan(args, config.clone(), 0, args.out.join(name).join(seed_folder(0))), report)?;
+        let out = args.out.join(name).join(seed_folder(0));
+        let weights = train::check(&plan(args, config.clone(), 0, out), report)?;
+        evaluate::check(weights, &valid, report)?;
     }
     std::fs::create_dir_all(&args.out).with_context(|| args.out.display().to_string())?;
     let interrupted = interrupt::watch()?;
@@ -128,7 +129,17 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
                 let out = args.out.join(&names[k]).join(seed_folder(seed));
                 report.note(format_args!("{}, seed {seed}", names[k]));
                 let plan = plan(args, config.clone(), seed, out);
-                let Some(trained) = train::train(&plan, &interrupted, report)? else { return Ok(None) };
+                let trained = match train::train(&plan, &interrupted, report) {
+                    // It is no reason to know nothing of the others.
+                    Err(error) if matches!(error.downcast_ref(), Some(Error::NotFinite(_))) => {
+                        report.warning(format_args!("{}, seed {seed}: {error}", names[k]));
+                        variants[k].figures.push(Value::Null);
+                        write(&args.out, &variants)?;
+                        continue;
+                    }
+                    trained => trained?,
+                };
+                let Some(trained) = trained else { return Ok(None) };
                 let Some(figures) = figures(args, &plan, &trained, &interrupted, report)? else {
                     return Ok(None);
                 };

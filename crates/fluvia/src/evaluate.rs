@@ -181,9 +181,14 @@ pub fn check(weights: Weights, data: &Path, report: &Report) -> Result<()> {
     })
 }
 
-/// The true sequences, each opened when it is asked for: an open one holds a part in memory.
+/// The true sequences, each opened when it is asked for.
 fn open(data: &Path, dt: Option<f32>, report: &Report) -> Result<impl Iterator<Item = Result<Recorded>>> {
-    Ok(truth::find(data)?.into_iter().map(move |path| Recorded::open(&path, dt, report)))
+    let open = move |path: PathBuf| {
+        let mut truth = Recorded::open(&path, dt, report)?;
+        truth.unload();
+        Ok(truth)
+    };
+    Ok(truth::find(data)?.into_iter().map(open))
 }
 
 /// The figures of weights on the sequences of a data set; `None` if it was told to stop.
@@ -222,6 +227,7 @@ fn measure(truth: &mut Recorded, bar: &ProgressBar) -> Result<Sequence> {
         curves.measure(&particles.position, &particles.velocity);
         bar.inc(1);
     }
+    truth.unload();
     let first = truth.frames().start;
     Ok(Sequence { name: truth.name.clone(), first, dt: truth.dt(), truth: curves })
 }
@@ -250,6 +256,7 @@ fn outcome(candidate: &Candidate, truth: &mut Recorded, bar: &ProgressBar) -> Re
         bar.inc(1);
     })?;
     bar.inc(rolled.non_finite_frames);
+    truth.unload();
     Ok(Outcome { starts, rolled, curves })
 }
 

@@ -117,6 +117,13 @@ impl FrameSource {
         }
     }
 
+    /// Gives the memory back of what is kept for the next frame.
+    pub fn unload(&mut self) {
+        if let Kind::Sequence(sequence) = &mut self.kind {
+            sequence.unload();
+        }
+    }
+
     /// Reads a frame. Of a sequence the part that it is in is kept for the next.
     ///
     /// # Errors

@@ -78,7 +78,7 @@ impl Choice {
     /// # Errors
     /// One line that names `path` and the value.
     pub fn check(&self, path: &Path, setup: &Setup) -> Result<()> {
-        let mut materials = setup.emitters.iter().map(|emitter| emitter.material);
+        let materials = setup.emitters.iter().map(|emitter| emitter.material);
         match self {
             Choice::Network(weights, _) => {
                 let config = &weights.config;
@@ -88,8 +88,9 @@ impl Choice {
                         check(path, "particle_radius", radius, config.particle_radius, "m")
                     })
                     .and_then(|()| {
-                        materials.try_for_each(|material| check_material(path, "", material, config))
+                        materials.clone().try_for_each(|material| check_material(path, "", material, config))
                     })
+                    .and_then(|()| check_unsaid(path, materials, config))
                     .map_err(|unfit| unfit.advised())
             }
             Choice::Dfsph(_) => {
@@ -244,9 +245,7 @@ fn check_densities(path: &Path, materials: impl IntoIterator<Item = Material>) -
 
 fn check_dfsph(scene: &Scene) -> Result<()> {
     check_densities(&scene.path, scene.materials())?;
-    let materials =
-        scene.fluids.iter().enumerate().map(|(i, fluid)| (format!("fluids[{i}]."), fluid.material));
-    for (prefix, material) in std::iter::once((String::new(), scene.material)).chain(materials) {
+    for (prefix, material) in written_materials(scene) {
         if let Some(value) = material.viscosity {
             check_dfsph_viscosity(&scene.path, &prefix, value)?;
         }
@@ -254,9 +253,19 @@ fn check_dfsph(scene: &Scene) -> Result<()> {
     Ok(())
 }
 
+/// The materials that a scene gives, with what their keys begin with.
+fn written_materials(scene: &Scene) -> impl Iterator<Item = (String, Material)> {
+    let of_fluids = scene.fluids.iter().enumerate().map(|(i, f)| (format!("fluids[{i}]."), f.material));
+    std::iter::once((String::new(), scene.material)).chain(of_fluids)
+}
+
+/// The coefficients of viscosity that DFSPH takes: the part of the strain rate that goes in a step.
+const DFSPH_VISCOSITIES: [f32; 2] = [0.0, 1.0];
+
 fn check_dfsph_viscosity(path: &Path, prefix: &str, value: f32) -> Result<()> {
-    if !(0.0..=1.0).contains(&value) {
-        bail!("{}: `{prefix}viscosity`: {value}, but the solver dfsph takes 0 to 1", path.display());
+    let [low, high] = DFSPH_VISCOSITIES;
+    if !dfsph_takes(value) {
+        bail!("{}: `{prefix}viscosity`: {value}, but the solver dfsph takes {low} to {high}", path.display());
     }
     Ok(())
 }
@@ -298,14 +307,17 @@ fn named(density: Option<f32>) -> String {
 #[derive(Debug)]
 pub struct Unfit {
     message: String,
-    /// What takes it.
-    advice: &'static str,
+    /// What takes it, if anything does.
+    advice: Option<&'static str>,
 }
 
 impl Unfit {
     /// The value, with what takes it.
     fn advised(&self) -> anyhow::Error {
-        anyhow!("{} ({})", self.message, self.advice)
+        match self.advice {
+            Some(advice) => anyhow!("{} ({advice})", self.message),
+            None => anyhow!("{}", self.message),
+        }
     }
 }
 
@@ -325,12 +337,10 @@ pub fn check_network(scene: &Scene, config: &Config) -> Result<(), Unfit> {
     let path = &scene.path;
     check(path, "dt", scene.dt, config.dt, "s")?;
     check(path, "particle_radius", scene.particle_radius, config.particle_radius, "m")?;
-    let materials = std::iter::once((String::new(), scene.material))
-        .chain(scene.fluids.iter().enumerate().map(|(i, f)| (format!("fluids[{i}]."), f.material)));
-    for (prefix, material) in materials {
+    for (prefix, material) in written_materials(scene) {
         check_material(path, &prefix, material, config)?;
     }
-    Ok(())
+    check_unsaid(path, scene.materials(), config)
 }
 
 /// Checks a material against what a network was made for.
@@ -338,25 +348,56 @@ pub fn check_network(scene: &Scene, config: &Config) -> Result<(), Unfit> {
 /// # Errors
 /// One line that names the file, the key and the value that would be honoured.
 pub fn check_material(path: &Path, prefix: &str, material: Material, config: &Config) -> Result<(), Unfit> {
-    let takes_viscosity = config.extra_inputs.iter().any(|input| input == "viscosity");
-    match (takes_viscosity, material.viscosity, config.viscosity_range) {
-        (false, viscosity, _) => {
-            let advice = "--weights viscosity takes other viscosities, --solver dfsph more";
-            check(path, &format!("{prefix}viscosity"), viscosity, config.viscosity, "")
-                .map_err(|unfit| Unfit { advice, ..unfit })?;
+    if let Some(value) = material.viscosity {
+        let key = format!("{prefix}viscosity");
+        match takes_viscosity(config) {
+            true => check_learned(path, &key, value, config)?,
+            false => check(path, &key, Some(value), config.viscosity, "").map_err(|unfit| Unfit {
+                advice: dfsph_takes(value)
+                    .then_some("--weights viscosity takes other viscosities, --solver dfsph more"),
+                ..unfit
+            })?,
         }
-        (true, Some(value), Some([low, high])) if !(low..=high).contains(&value) => {
-            let path = path.display();
-            return Err(Unfit {
-                message: format!(
-                    "{path}: `{prefix}viscosity`: {value}, but the network has learned from {low} to {high}"
-                ),
-                advice: SOLVER,
-            });
-        }
-        _ => {}
     }
     check(path, &format!("{prefix}density"), material.density, config.density, "kg/m³")
+}
+
+/// Checks what counts for fluids whose viscosity is not given.
+fn check_unsaid(
+    path: &Path,
+    materials: impl IntoIterator<Item = Material>,
+    config: &Config,
+) -> Result<(), Unfit> {
+    match materials.into_iter().any(|material| material.viscosity.is_none()) && takes_viscosity(config) {
+        true => check_learned(path, "viscosity", config.viscosity, config),
+        false => Ok(()),
+    }
+}
+
+/// A network is taken to know what is beyond what it has learned from by this part of the range: the extremes of a random
+/// draw lie within what was drawn from.
+const BEYOND: f32 = 0.05;
+
+/// A viscosity must be one that the network has learned from.
+fn check_learned(path: &Path, key: &str, value: f32, config: &Config) -> Result<(), Unfit> {
+    let Some([low, high]) = config.viscosity_range else { return Ok(()) };
+    let beyond = BEYOND * (high - low);
+    if (low - beyond..=high + beyond).contains(&value) {
+        return Ok(());
+    }
+    let path = path.display();
+    let message = format!("{path}: `{key}`: {value}, but the network has learned from {low} to {high}");
+    Err(Unfit { message, advice: dfsph_takes(value).then_some(SOLVER) })
+}
+
+/// Whether viscosity is an input of a network.
+fn takes_viscosity(config: &Config) -> bool {
+    config.extra_inputs.iter().any(|input| input == "viscosity")
+}
+
+fn dfsph_takes(viscosity: f32) -> bool {
+    let [low, high] = DFSPH_VISCOSITIES;
+    (low..=high).contains(&viscosity)
 }
 
 /// What takes most values that a network does not.
@@ -370,7 +411,7 @@ fn check(path: &Path, key: &str, given: Option<f32>, made_for: f32, unit: &str) 
             let path = path.display();
             let message =
                 format!("{path}: `{key}`: {value}{unit}, but the network is made for {made_for}{unit}");
-            Err(Unfit { message, advice: SOLVER })
+            Err(Unfit { message, advice: Some(SOLVER) })
         }
         _ => Ok(()),
     }

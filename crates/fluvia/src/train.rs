@@ -35,7 +35,7 @@ use crate::interrupt;
 use crate::options::{thread_pool, threads};
 use crate::record::decimal;
 use crate::report::Report;
-use begin::{check_data, given_weights, refuse_trained, remove_run};
+use begin::{check_data, given_weights, refuse_run, remove_run};
 use config::{Config, Data};
 use log::{Line, Log};
 
@@ -164,17 +164,16 @@ pub fn train(plan: &Plan, interrupted: &AtomicBool, report: &Report) -> Result<O
     Run::new(plan, report)?.train(interrupted)
 }
 
-/// Makes sure that a training could begin, and changes nothing.
+/// Makes sure that a training could begin, and changes nothing. Returns the weights that it would begin with.
 ///
 /// # Errors
 /// As [`train`] before its first update.
-pub fn check(plan: &Plan, report: &Report) -> Result<()> {
+pub fn check(plan: &Plan, report: &Report) -> Result<Weights> {
     let data = Opened::of(plan)?;
     let sampling = plan.config.sampling(Damaged::Stop);
     data.train.check_windows(sampling.frames())?;
     data.valid.iter().try_for_each(|valid| valid.check_windows(sampling.steps + 1))?;
-    first_state(plan, &data, report)?;
-    Ok(())
+    Ok(first_state(plan, &data, report)?.0.result())
 }
 
 /// The data of a training.
@@ -192,6 +191,9 @@ impl Opened {
             bail!("no data: expected --data, or `data.train` in the settings");
         }
         let open = |folders: &[PathBuf]| -> Result<(DataSet, [f32; 2])> {
+            if let Some(missing) = folders.iter().find(|folder| !folder.exists()) {
+                bail!("{}: not there; --data names another data set", missing.display());
+            }
             let data = DataSet::open(folders)?;
             let viscosity = check_data(&data, config)?;
             Ok((data, viscosity))
@@ -212,7 +214,7 @@ fn first_state(plan: &Plan, data: &Opened, report: &Report) -> Result<(Trainer, 
     let path = plan.out.join(CHECKPOINT);
     let goes_on = plan.resume && path.exists();
     if !goes_on && !plan.overwrite {
-        refuse_trained(&plan.out, plan.resume)?;
+        refuse_run(&plan.out, plan.resume)?;
     }
     let given = plan.weights.as_ref().or(config.training.weights.as_ref());
     // What goes on has its weights.
@@ -225,15 +227,18 @@ fn first_state(plan: &Plan, data: &Opened, report: &Report) -> Result<(Trainer, 
         let Checkpoint { mut place, weights: values, adam, averages } =
             Checkpoint::load(&path, &random, options.adam)?;
         let old = serde_json::from_str(&place.settings)?;
-        let (settings, warning) =
+        let (settings, warnings) =
             origin::going_on(old, settings, place.updates).with_context(|| path.display().to_string())?;
-        if let Some(warning) = warning {
-            report.warning(warning);
-        }
+        warnings.iter().for_each(|warning| report.warning(warning));
         place.settings = settings.to_string();
         let mut weights = random;
         weights.values_mut().into_iter().zip(&values).for_each(|(to, from)| to.copy_from_slice(from));
         return Ok((Trainer::resume(options, weights, adam, averages, Kernel::detect())?, place, false));
+    }
+    let begun = plan.out.join(SETTINGS);
+    if plan.resume && begun.exists() {
+        origin::going_on(frames::read_json(&begun)?, settings.clone(), 0)
+            .with_context(|| begun.display().to_string())?;
     }
     let place = Place { settings: settings.to_string(), ..Place::default() };
     let mut weights = first.map_or(random, |first| first.weights);
@@ -292,17 +297,16 @@ impl<'a> Run<'a> {
         let mut shown = None;
         while self.place.updates < self.plan.config.training.updates {
             let begin = Instant::now();
-            let Loaded { batch, next, skipped } = self.loader.take()?;
+            let Loaded { batch, next, skipped } = match self.loader.take() {
+                Ok(loaded) => loaded,
+                Err(error) => return self.give_up(error.into()),
+            };
             for message in skipped {
                 self.bar.suspend(|| self.report.warning(format_args!("left out: {message}")));
             }
             let Progress { loss, gradient, rate } = match self.trainer.step(&batch) {
                 Ok(progress) => progress,
-                Err(error) => {
-                    // The weights are still those of the update before.
-                    self.save().with_context(|| error.to_string())?;
-                    return Err(error.into());
-                }
+                Err(error) => return self.give_up(error.into()),
             };
             let particles = batch.samples();
             let particles_per_s = particles as f64 / begin.elapsed().as_secs_f64().max(1e-9);
@@ -341,11 +345,19 @@ impl<'a> Run<'a> {
         Ok(Some(Trained { place: Place { seconds: self.seconds(), ..self.place }, weights }))
     }
 
+    /// Ends with an error and with what was learned before it on disk: the weights are still those of the last update.
+    fn give_up(&mut self, error: anyhow::Error) -> Result<Option<Trained>> {
+        if self.place.updates > 0 {
+            self.save().with_context(|| error.to_string())?;
+        }
+        Err(error)
+    }
+
     /// The errors on the validation windows; the best weights are kept.
     fn validate(&mut self) -> Result<()> {
         let Some(validation) = &self.validation else { return Ok(()) };
-        let weights = self.result();
-        let errors = validation.errors(&weights, &self.plan.config.options(), Kernel::detect())?;
+        let errors =
+            validation.errors(&self.trainer.result(), &self.plan.config.options(), Kernel::detect())?;
         let finite = |value: &f64| value.is_finite();
         let error = |step: usize| errors.position.get(step).copied().filter(finite);
         let mm = |step: usize| error(step).map(|metres| 1e3 * metres);
@@ -355,7 +367,7 @@ impl<'a> Run<'a> {
         let Some(judged) = errors.position.last().copied().filter(finite) else { return Ok(()) };
         if self.place.best.is_none_or(|(_, best)| judged < best) {
             self.place.best = Some((update, judged));
-            save_safetensors(self.plan.out.join(BEST), &weights)?;
+            save_safetensors(self.plan.out.join(BEST), &self.result())?;
         }
         Ok(())
     }

@@ -197,6 +197,11 @@ impl Sequence {
         Ok(opened)
     }
 
+    /// Gives the memory of the part back that was read last.
+    pub fn unload(&mut self) {
+        self.loaded = None;
+    }
+
     /// What the names of the files have in common.
     pub fn name(&self) -> &str {
         &self.files.name

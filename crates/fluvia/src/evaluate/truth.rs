@@ -18,6 +18,9 @@ use crate::report::Report;
 /// The folder of a data set that is evaluated if it has one.
 pub const VALID: &str = "valid";
 
+/// That of what a network learns from.
+const TRAIN: &str = "train";
+
 /// Frames with what a solver has to know of them.
 pub struct Recorded {
     /// The last part of its path.
@@ -44,6 +47,13 @@ pub fn find(path: &Path) -> Result<Vec<PathBuf>> {
             return Ok(found.into_iter().map(|files| folder.join(files.name)).collect());
         }
         if run::list(path)?.is_empty() {
+            let train = path.join(TRAIN);
+            if train.is_dir() && !sequence::find(&train)?.is_empty() {
+                let (path, train) = (path.display(), train.display());
+                bail!(
+                    "{path}: a data set without the folder {VALID}; expected one with it, or a folder like {train}"
+                );
+            }
             bail!("{}: {NO_FRAMES}", path.display());
         }
     }
@@ -96,6 +106,11 @@ impl Recorded {
     /// What was opened.
     pub fn path(&self) -> &Path {
         self.source.path()
+    }
+
+    /// Gives the memory back that its last frames took.
+    pub fn unload(&mut self) {
+        self.source.unload();
     }
 
     /// Seconds between frames.

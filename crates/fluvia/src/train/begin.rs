@@ -1,6 +1,6 @@
 //! What a training begins with: weights and data that fit its settings, and a directory without an earlier training.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use fluvia_net::config::Config as NetworkConfig;
@@ -11,7 +11,7 @@ use fluvia_sim::scene::{DEFAULT_DT, DEFAULT_GRAVITY, DEFAULT_PARTICLE_RADIUS, Ma
 
 use super::config::Config;
 use super::origin::First;
-use super::{BEST, CHECKPOINT, WEIGHTS, events, log};
+use super::{BEST, CHECKPOINT, SETTINGS, WEIGHTS, events, log};
 use crate::frame_source::{recorded_beside, stored_materials};
 use crate::solvers::{check_material, check_network};
 use crate::trained;
@@ -112,12 +112,25 @@ pub fn check_data(data: &DataSet, config: &Config) -> Result<[f32; 2]> {
 /// The files of a training that cost its time.
 const TRAINED: [&str; 3] = [CHECKPOINT, WEIGHTS, BEST];
 
-/// Makes sure that nothing trained is lost to a training that begins.
-pub fn refuse_trained(out: &Path, resume: bool) -> Result<()> {
-    let Some(found) = TRAINED.iter().find(|name| out.join(name).exists()) else { return Ok(()) };
-    match resume {
-        true => bail!("{}: holds {found}, but no {CHECKPOINT} to go on from", out.display()),
-        false => bail!("{}: holds {found} of a training; expected --resume or --overwrite", out.display()),
+/// Makes sure that a training that begins loses nothing that is there. To go on where an earlier one was stopped before its
+/// first checkpoint is to begin.
+pub fn refuse_run(out: &Path, resume: bool) -> Result<()> {
+    let place = out.display();
+    let exists = |name: &&&str| out.join(name).exists();
+    let trained = TRAINED.iter().find(exists);
+    if let (true, Some(found)) = (resume, trained) {
+        bail!("{place}: holds {found}, but no {CHECKPOINT} to go on from");
+    }
+    if resume && out.join(SETTINGS).exists() {
+        return Ok(());
+    }
+    let others = [SETTINGS, log::FILE];
+    let found = trained.or_else(|| others.iter().find(exists)).map(|name| name.to_string());
+    let is_events = |path: &PathBuf| path.file_name().map(|name| name.to_string_lossy().into_owned());
+    match found.or_else(|| events::files(out).ok()?.iter().find_map(is_events)) {
+        Some(found) if resume => bail!("{place}: holds {found}, but no {SETTINGS} of a training"),
+        Some(found) => bail!("{place}: holds {found} of a training; expected --resume or --overwrite"),
+        None => Ok(()),
     }
 }
 

@@ -56,11 +56,11 @@ pub fn of(plan: &Plan, train: &DataSet, valid: Option<&DataSet>, first: Option<&
 }
 
 /// Of a training that goes on after so many updates, from what its checkpoint has and what a training of now would have;
-/// and what to warn of.
+/// and what to warn of. Data may have moved: what is in their folders counts.
 ///
 /// # Errors
 /// If it is another training.
-pub fn going_on(mut old: Value, mut new: Value, updates: u64) -> Result<(Value, Option<String>)> {
+pub fn going_on(mut old: Value, mut new: Value, updates: u64) -> Result<(Value, Vec<String>)> {
     // What settings did not have yet is as it is without them.
     complete(&mut old, &recorded(&Config::default())?);
     let (was, is) = (take(&mut old, MADE_WITH), take(&mut new, MADE_WITH));
@@ -68,15 +68,26 @@ pub fn going_on(mut old: Value, mut new: Value, updates: u64) -> Result<(Value, 
     // A checkpoint needs no weights to begin with.
     let (began, given) = (take(&mut old, FIRST), take(&mut new, FIRST));
     if !given.is_null() && began["sha256"] != given["sha256"] {
-        bail!("not the same training, its {FIRST}: {}, now: {}", began["name"], given["name"]);
+        let named = |first: &Value| match first["sha256"].as_str() {
+            Some(hash) => format!("{} with hash {}", first["name"], hash.get(..8).unwrap_or(hash)),
+            None => "none".to_owned(),
+        };
+        bail!("not the same training, its {FIRST}: {}, now: {}", named(&began), named(&given));
+    }
+    let mut warnings = Vec::new();
+    for key in ["train", "valid"] {
+        let (was, is) = (take(&mut old["data"], key), &new["data"][key]);
+        if was != *is {
+            warnings.push(format!("data.{key} was {was} and is {is} now"));
+        }
+        old["data"][key] = is.clone();
     }
     if let Some((key, old, new)) = first_difference("", &old, &new) {
         bail!("not the same training, its {key}: {old}, now: {new}");
     }
-    let mut warning = None;
     if was["kernel"] != is["kernel"] || was["version"] != is["version"] {
         if was["kernel"] != is["kernel"] {
-            warning = Some(format!(
+            warnings.push(format!(
                 "begun with the kernel {}, going on with {}: other bits than without the change",
                 was["kernel"], is["kernel"]
             ));
@@ -93,7 +104,7 @@ pub fn going_on(mut old: Value, mut new: Value, updates: u64) -> Result<(Value, 
     if !earlier.is_null() {
         new[EARLIER] = earlier;
     }
-    Ok((new, warning))
+    Ok((new, warnings))
 }
 
 /// The settings as they are recorded: through a text, in which a float of 32 bits is 0.02 and not 0.019999999552965164.
@@ -147,8 +158,8 @@ mod tests {
         let mut now = origin();
         now[MADE_WITH]["threads"] = json!(8);
         now[FIRST] = Value::Null;
-        let (found, warning) = going_on(origin(), now, 5).unwrap();
-        assert_eq!((&found[FIRST]["name"], warning), (&json!("a"), None));
+        let (found, warnings) = going_on(origin(), now, 5).unwrap();
+        assert_eq!((&found[FIRST]["name"], warnings), (&json!("a"), vec![]));
         assert!(found[EARLIER].is_null());
     }
 
@@ -156,20 +167,31 @@ mod tests {
     fn another_kernel_is_warned_of_and_recorded() {
         let mut now = origin();
         now[MADE_WITH]["kernel"] = json!("avx512");
-        let (found, warning) = going_on(origin(), now.clone(), 5).unwrap();
-        assert!(warning.unwrap().contains("avx512"));
+        let (found, warnings) = going_on(origin(), now.clone(), 5).unwrap();
+        assert!(warnings[0].contains("avx512"));
         assert_eq!(
             (&found[MADE_WITH]["kernel"], &found[EARLIER][0]["kernel"]),
             (&json!("avx512"), &json!("avx2"))
         );
         assert_eq!(found[EARLIER][0]["until_update"], 5);
         // Once.
-        let (again, warning) = going_on(found.clone(), now.clone(), 7).unwrap();
-        assert_eq!((again, warning), (found, None));
+        let (again, warnings) = going_on(found.clone(), now.clone(), 7).unwrap();
+        assert_eq!((again, warnings), (found, vec![]));
         // Another version makes the same bits, or says so in the changelog.
         now[MADE_WITH] = json!({ "version": "2", "kernel": "avx2" });
-        let (found, warning) = going_on(origin(), now, 5).unwrap();
-        assert_eq!((&found[EARLIER][0]["version"], warning), (&json!("1"), None));
+        let (found, warnings) = going_on(origin(), now, 5).unwrap();
+        assert_eq!((&found[EARLIER][0]["version"], warnings), (&json!("1"), vec![]));
+    }
+
+    #[test]
+    fn data_may_move_and_not_change() {
+        let mut now = origin();
+        now["data"]["train"] = json!(["elsewhere/train"]);
+        let (found, warnings) = going_on(origin(), now.clone(), 5).unwrap();
+        assert_eq!(found["data"]["train"], json!(["elsewhere/train"]));
+        assert!(warnings.len() == 1 && warnings[0].contains("elsewhere/train"), "{warnings:?}");
+        now["data"]["frames"] = json!(7);
+        assert!(going_on(origin(), now, 5).unwrap_err().to_string().contains("data.frames"));
     }
 
     #[test]
@@ -180,7 +202,8 @@ mod tests {
             going_on(origin(), now, 5).unwrap_err().to_string()
         };
         assert!(fault(&|now| now["training"]["batch"] = json!(3)).contains("training.batch: 16, now: 3"));
-        assert!(fault(&|now| now[FIRST]["sha256"] = json!("2")).contains(FIRST));
+        let other = fault(&|now| now[FIRST]["sha256"] = json!("2"));
+        assert!(other.contains(FIRST) && other.contains("hash 1") && other.contains("hash 2"), "{other}");
         let mut old = origin();
         take(&mut old["training"], "lead");
         going_on(old, origin(), 5).unwrap();

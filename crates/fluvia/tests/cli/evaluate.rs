@@ -42,6 +42,8 @@ fn a_solver_against_itself_and_others() {
     assert_eq!(report["curves"]["truth"]["solvers"][1]["label"], "pbf");
     let picture = std::fs::read_to_string(folder.path("report/truth.svg")).unwrap();
     assert!(["distance d of Eq. 18, mm", "net", "pbf"].iter().all(|text| picture.contains(text)));
+    // Of the five panels that have a point for every frame.
+    assert_eq!(curves(&picture), 5 * 3);
 }
 
 #[test]
@@ -75,6 +77,13 @@ fn what_is_refused() {
     folder.fail("evaluate --solver pbf --data nowhere --out out", &["nowhere"]);
     std::fs::create_dir(folder.path("empty")).unwrap();
     folder.fail("evaluate --solver pbf --data empty --out out", &["empty", "no frames"]);
+    folder.succeed(
+        "generate --preset viscosity --scenes 1 --valid 0 --duration 0.1 --particles 1000..1200 --out set",
+    );
+    folder.fail(
+        "evaluate --solver dfsph --data set --out out",
+        &["set: ", "without the folder valid", "set/train"],
+    );
     folder.fail(
         &format!("evaluate --weights {weights} --weights {weights} --data truth --out out"),
         &["LABEL=FILE"],
@@ -107,6 +116,11 @@ fn what_is_refused() {
     folder.fail("evaluate --solver dfsph --data truth --out out", &["truth", "missing between 0 and 12"]);
 }
 
+/// How many curves a picture has that are of more than two points: marks of axes have two.
+fn curves(picture: &str) -> usize {
+    picture.lines().filter(|line| line.contains("<polyline") && line.matches(',').count() > 2).count()
+}
+
 #[test]
 fn curves_of_trainings() {
     let folder = Folder::new();
@@ -127,9 +141,12 @@ fn curves_of_trainings() {
     folder.succeed("plot a");
     let picture = std::fs::read_to_string(folder.path("a/curves.svg")).unwrap();
     assert!(picture.contains("validation: error after one step, mm"), "{picture}");
+    let of_one = curves(&picture);
+    assert!(of_one >= 6, "{picture}");
     folder.succeed("plot first=a b --out both.svg");
     let picture = std::fs::read_to_string(folder.path("both.svg")).unwrap();
     assert!(picture.contains("first") && picture.contains("rate"));
+    assert_eq!(curves(&picture), 2 * of_one);
     folder.fail("plot a b", &["--out"]);
     folder.fail("plot nowhere", &["nowhere/metrics.jsonl"]);
     folder.write("a/metrics.jsonl", "{}\n");

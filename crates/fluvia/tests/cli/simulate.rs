@@ -28,7 +28,15 @@ fn without_options_it_is_the_shipped_network() {
     let run = folder.run("simulate thick.json --steps 3 --out thick");
     assert!(run.code == Some(1) && run.stderr.contains("made for 0.01"), "{}", run.stderr);
     assert!(run.stderr.contains("--weights viscosity takes"), "{}", run.stderr);
-    folder.succeed("simulate thick.json --weights viscosity --steps 3 --out thick");
+    for viscosity in ["0.01", "0.2", "0.3"] {
+        folder.write("thick.json", scene_with(&format!(r#""viscosity": {viscosity}"#)));
+        folder.succeed("simulate thick.json --weights viscosity --steps 3 --out thick --overwrite");
+    }
+    folder.write("tar.json", scene_with(r#""viscosity": 1.5"#));
+    for weights in ["default", "viscosity"] {
+        let run = folder.run(&format!("simulate tar.json --weights {weights} --steps 3 --out tar"));
+        assert!(run.code == Some(1) && !run.stderr.contains("dfsph"), "{}", run.stderr);
+    }
     // Nor do they take all.
     for (key, weights) in
         [(r#""viscosity": 0.9"#, "viscosity"), (r#""dt": 0.01"#, "default"), (r#""density": 900"#, "default")]

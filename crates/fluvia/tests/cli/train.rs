@@ -104,6 +104,7 @@ fn a_killed_training_ends_with_the_same_weights() {
     assert!(numbers(&folder, "killed/weights.safetensors") == whole);
     assert!(numbers(&folder, "killed/best.safetensors") == numbers(&folder, "whole/best.safetensors"));
     assert_eq!(lines(&folder, "killed"), lines(&folder, "whole"));
+    recorded_validation(&folder, "killed/best.safetensors");
     // Done: nothing changes.
     folder.succeed("train config.toml --data data --out killed --resume");
     assert!(numbers(&folder, "killed/weights.safetensors") == whole);
@@ -149,7 +150,7 @@ fn what_is_refused() {
     folder.fail("train typo.toml --data data --out new", &["typo.toml", "line 9", "`bach`"]);
     folder.write("zero.toml", CONFIG.replace("batch = 2", "batch = 0"));
     folder.fail("train zero.toml --data data --out new", &["zero.toml", "`training.batch`", "at least 1"]);
-    folder.fail("train config.toml --data nothing --out new", &["nothing"]);
+    folder.fail("train config.toml --data nothing --out new", &["nothing/train", "--data"]);
     folder.fail("train config.toml --out new", &["--data", "data.train"]);
     std::fs::create_dir_all(folder.path("empty/train")).unwrap();
     folder.fail("train config.toml --data empty --out new", &["empty/train", "no sequence"]);
@@ -225,6 +226,15 @@ fn trained_weights_are_kept() {
     refused("long.toml --data data --overwrite", &["data/train", "63"]);
     folder.write("odd.toml", CONFIG.replace("[network]", "[network]\ngravity = [nan, 0, 0]"));
     refused("odd.toml --data data --overwrite", &["gravity"]);
+    // What other programs have written.
+    for name in ["config.json", "metrics.jsonl", "events.out.tfevents.1"] {
+        std::fs::create_dir_all(folder.path("theirs")).unwrap();
+        folder.write(&format!("theirs/{name}"), "{}");
+        folder.fail("train config.toml --data data --out theirs", &["theirs", name, "--overwrite"]);
+        folder.fail("train config.toml --data data --out theirs --resume", &["theirs", "config.json"]);
+        assert_eq!(folder.files("theirs").len(), 1);
+        std::fs::remove_dir_all(folder.path("theirs")).unwrap();
+    }
     // Weights without a checkpoint.
     std::fs::remove_file(folder.path("run/checkpoint.safetensors")).unwrap();
     let before = folder.files("run");
@@ -338,6 +348,11 @@ fn variants_side_by_side() {
     folder.succeed("train base.toml --data data --updates 5 --out table/base/seed_0 --overwrite");
     folder.succeed("ablate base.toml --data data --updates 5 --seeds 1 --out table");
     assert!(folder.json("table/ablation.json")[0]["figures"][0]["err_n1_mm"] != error(0, 0));
+    // What diverges has no figures, and the others have theirs.
+    folder.write("wild.toml", CONFIG.replace("highest = 0.01", "highest = 1e30"));
+    let run = folder.succeed("ablate wild.toml base.toml --data data --updates 5 --seeds 1 --out wild");
+    assert!(run.stderr.contains("wild, seed 0") && run.stdout.contains("| wild | none |"), "{}", run.stdout);
+    assert!(folder.json("wild/ablation.json")[1]["figures"][0]["err_n1_mm"].is_number());
     // What cannot be trained stops all before the first update.
     folder.write("moon.toml", CONFIG.replace("[network]", "[network]\ngravity = [0, -1.6, 0]"));
     folder.fail("ablate base.toml moon.toml --data data --updates 5 --out other", &["`gravity`", "-1.6"]);
