@@ -22,7 +22,7 @@ use crate::evaluate::{
 };
 use crate::interrupt;
 use crate::options::{PrecisionName, thread_pool, threads};
-use crate::plots::{range, short};
+use crate::plots::{decimals, range, short};
 use crate::record::read_source;
 use crate::report::{Report, row};
 use crate::train::config::{Config, Data};
@@ -246,7 +246,7 @@ fn markdown(variants: &[Variant]) -> String {
                 Some(values) => {
                     let mean = values.iter().sum::<f64>() / values.len() as f64;
                     let (low, high) = range(values.iter().copied());
-                    format!("{} ± {}", short(mean), short((high - low) / 2.0))
+                    format!("{mean:.0$} ± {1:.0$}", decimals(mean), (high - low) / 2.0)
                 }
             };
             match paper {

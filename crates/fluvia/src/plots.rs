@@ -131,12 +131,17 @@ pub fn range(values: impl Iterator<Item = f64>) -> (f64, f64) {
 
 /// A number of at most four digits.
 pub fn short(value: f64) -> String {
-    let digits = 4 - value.abs().log10().floor().clamp(-6.0, 4.0) as i32 - 1;
-    let text = format!("{value:.*}", digits.clamp(0, 9) as usize);
+    let text = format!("{value:.*}", decimals(value));
     match text.contains('.') {
         true => text.trim_end_matches('0').trim_end_matches('.').to_owned(),
         false => text,
     }
+}
+
+/// How many decimals give a value four digits.
+pub fn decimals(value: f64) -> usize {
+    let digits = 4 - value.abs().log10().floor().clamp(-6.0, 4.0) as i32 - 1;
+    digits.clamp(0, 9) as usize
 }
 
 /// The stretches of a curve that have values.
