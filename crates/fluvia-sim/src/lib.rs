@@ -14,6 +14,7 @@ pub mod mesh;
 pub mod metrics;
 pub mod particles;
 pub mod pbf;
+pub mod pour;
 pub mod rollout;
 pub mod sampling;
 pub mod scene;

@@ -7,6 +7,7 @@
 use crate::metrics::{self, Bounds};
 use crate::particles::{Acceleration, Particles};
 use crate::scene::{Emitter, Setup};
+use crate::vector::add;
 use crate::{Error, Result};
 
 /// A particle is removed when it is below the walls' lowest point by more than this part of their height.
@@ -168,6 +169,62 @@ impl Rollout {
         &self.state
     }
 
+    /// The bodies of the scene, where they are emitted now.
+    pub fn emitters(&self) -> &[Emitter] {
+        &self.emitters
+    }
+
+    /// External acceleration, metres per second squared.
+    pub fn gravity(&self) -> [f32; 3] {
+        self.gravity
+    }
+
+    /// Changes the external acceleration of the steps to come, metres per second squared.
+    ///
+    /// # Errors
+    /// `Parameter` if it is not finite.
+    pub fn set_gravity(&mut self, gravity: [f32; 3]) -> Result<()> {
+        finite("gravity", gravity)?;
+        self.gravity = gravity;
+        Ok(())
+    }
+
+    /// Moves what emitter `index` gives from the next step on by so many metres.
+    ///
+    /// # Errors
+    /// `Parameter` if there is no such emitter, or it would give particles that are nowhere.
+    pub fn move_emitter(&mut self, index: usize, by: [f32; 3]) -> Result<()> {
+        let count = self.emitters.len();
+        let Some(emitter) = self.emitters.get_mut(index) else {
+            return Err(Error::Parameter(format!("emitter {index}, expected one of {count}")));
+        };
+        let moved: Vec<_> = emitter.position.iter().map(|&x| add(x, by)).collect();
+        moved.iter().try_for_each(|&x| finite("position of an emitter", x))?;
+        emitter.position = moved;
+        Ok(())
+    }
+
+    /// Adds a body of fluid to the frame, beside what the emitters give, as part of body `body` of the scene.
+    ///
+    /// # Errors
+    /// `Parameter` if there is no such body, a number is not finite, or there are too many particles.
+    pub fn add(&mut self, position: &[[f32; 3]], velocity: [f32; 3], body: usize) -> Result<()> {
+        let count = self.emitters.len();
+        if body >= count {
+            return Err(Error::Parameter(format!("body {body}, expected one of {count}")));
+        }
+        position.iter().chain([&velocity]).try_for_each(|&x| finite("position or velocity", x))?;
+        let velocity = vec![velocity; position.len()];
+        self.state.append(position, &velocity, body).ok_or_else(|| too_many("particles added"))?;
+        self.observe();
+        Ok(())
+    }
+
+    /// Lets another solver go on: what the one before kept of the particles means nothing to it.
+    pub fn forget(&mut self) {
+        self.state.particles.memory.clear();
+    }
+
     /// Takes one step under the scene's gravity.
     ///
     /// # Errors
@@ -252,27 +309,14 @@ impl Rollout {
 
     /// Appends what the emitters give in the step that comes next.
     fn emit(&mut self) -> Result<usize> {
-        let State { step, particles, next_id, .. } = &mut self.state;
-        let before = particles.len();
+        let before = self.state.particles.len();
         for (body, emitter) in self.emitters.iter().enumerate() {
-            if !emits(emitter, *step) {
-                continue;
+            if emits(emitter, self.state.step) {
+                let emitted = self.state.append(&emitter.position, &emitter.velocity, body);
+                emitted.ok_or_else(|| too_many(&format!("particles emitted by {}", emitter.source)))?;
             }
-            let end = u32::try_from(emitter.position.len()).ok().and_then(|n| next_id.checked_add(n));
-            let Some(end) = end else {
-                let message = format!("{}: more than {} particles emitted", emitter.source, u32::MAX);
-                return Err(Error::Parameter(message));
-            };
-            particles.position.extend_from_slice(&emitter.position);
-            particles.velocity.extend_from_slice(&emitter.velocity);
-            particles.id.extend(*next_id..end);
-            particles.body.resize(particles.position.len(), body as u32);
-            if !particles.memory.is_empty() {
-                particles.memory.resize(particles.position.len(), [0.0; 2]);
-            }
-            *next_id = end;
         }
-        Ok(particles.len() - before)
+        Ok(self.state.particles.len() - before)
     }
 
     /// Brings the summary up to date with a new frame; returns the highest speed in it.
@@ -295,6 +339,35 @@ impl Rollout {
         let points = squares().flat_map(|x| squares().flat_map(move |y| squares().map(move |z| x + y + z)));
         points.filter(|&squared| squared <= limit && squared > 0.0).count() as u32
     }
+}
+
+impl State {
+    /// Adds new particles of a body; `None` if there are no identities left.
+    fn append(&mut self, position: &[[f32; 3]], velocity: &[[f32; 3]], body: usize) -> Option<()> {
+        let State { particles, next_id, .. } = self;
+        let end = next_id.checked_add(u32::try_from(position.len()).ok()?)?;
+        particles.position.extend_from_slice(position);
+        particles.velocity.extend_from_slice(velocity);
+        particles.id.extend(*next_id..end);
+        particles.body.resize(particles.position.len(), body as u32);
+        if !particles.memory.is_empty() {
+            particles.memory.resize(particles.position.len(), [0.0; 2]);
+        }
+        *next_id = end;
+        Some(())
+    }
+}
+
+fn too_many(what: &str) -> Error {
+    Error::Parameter(format!("more than {} {what}", u32::MAX))
+}
+
+/// An error unless all coordinates are finite.
+fn finite(name: &str, vector: [f32; 3]) -> Result<()> {
+    if vector.iter().all(|x| x.is_finite()) {
+        return Ok(());
+    }
+    Err(Error::Parameter(format!("{name} {vector:?}, expected finite numbers")))
 }
 
 /// Whether an emitter gives particles in step `step`.

@@ -192,6 +192,14 @@ impl Scene {
         self.fluids.iter().map(|fluid| fluid.material.or(self.material)).collect()
     }
 
+    /// The surfaces of the walls, without those that are particle files, with faces that look into the fluid.
+    ///
+    /// # Errors
+    /// If a mesh that the scene names is missing or damaged.
+    pub fn surfaces(&self) -> Result<Vec<TriangleMesh>> {
+        sample::surfaces(self)
+    }
+
     /// Turns the scene into particles. The same seed gives the same bits.
     ///
     /// # Errors

@@ -3,6 +3,7 @@
 mod common;
 
 use common::{DT, RADIUS, block, box_walls, emitter, setup};
+use fluvia_sim::dfsph::Dfsph;
 use fluvia_sim::particles::{Acceleration, Boundary, Particles};
 use fluvia_sim::pbf::{Params, Pbf};
 use fluvia_sim::rollout::{Rollout, Solver, State, StepInfo};
@@ -243,4 +244,64 @@ fn a_time_step_that_is_not_positive_is_an_error() {
     let mut setup = shower();
     setup.dt = 0.0;
     assert!(matches!(Rollout::new(&setup), Err(Error::Parameter(_))));
+}
+
+#[test]
+fn a_body_is_added_to_the_frame() {
+    let setup = shower();
+    let mut rollout = Rollout::new(&setup).unwrap();
+    let mut solver = Dfsph::new(Default::default(), &setup.boundary, RADIUS, &[]).unwrap();
+    rollout.advance(&mut solver).unwrap();
+    // The emitter has given twice by now.
+    let body = block([0.4, 0.2, 0.4], [3, 2, 3]);
+    rollout.add(&body, [0.0, -1.0, 0.0], 0).unwrap();
+    let particles = &rollout.state().particles;
+    assert_eq!((particles.len(), particles.memory.len()), (32 + 18, 32 + 18));
+    assert_eq!(particles.id, (0..50).collect::<Vec<_>>());
+    assert_eq!((particles.position[49], particles.velocity[49]), (body[17], [0.0, -1.0, 0.0]));
+    assert_eq!(particles.memory[49], [0.0; 2]);
+    assert!(rollout.state().summary.highest_speed >= 1.0);
+    // It moves with the rest, and a state with it is one to go on from.
+    let resumed = Rollout::resume(&setup, rollout.state().clone()).unwrap();
+    rollout.advance(&mut solver).unwrap();
+    assert_eq!((rollout.state().particles.len(), resumed.state().particles.len()), (66, 50));
+    rollout.forget();
+    assert!(rollout.state().particles.memory.is_empty());
+    rollout.advance(&mut solver).unwrap();
+    for (position, velocity, body) in [
+        (vec![[0.5; 3]], [0.0; 3], 1),
+        (vec![[0.5, f32::NAN, 0.5]], [0.0; 3], 0),
+        (vec![[0.5; 3]], [f32::INFINITY, 0.0, 0.0], 0),
+    ] {
+        let before = rollout.state().clone();
+        assert!(matches!(rollout.add(&position, velocity, body), Err(Error::Parameter(_))));
+        assert_eq!(rollout.state(), &before);
+    }
+}
+
+#[test]
+fn gravity_and_emitters_change_from_the_next_step_on() {
+    let setup = shower();
+    let mut rollout = Rollout::new(&setup).unwrap();
+    let mut solver = Free::new(|_, _| ());
+    rollout.set_gravity([1.0, 0.0, 0.0]).unwrap();
+    rollout.move_emitter(0, [0.1, 0.0, -0.1]).unwrap();
+    assert_eq!(rollout.state().particles.position, setup.emitters[0].position);
+    rollout.advance(&mut solver).unwrap();
+    let particles = &rollout.state().particles;
+    assert_eq!((particles.velocity[0], particles.velocity[16]), ([DT, -0.5, 0.0], [0.0, -0.5, 0.0]));
+    let [x, y, z] = setup.emitters[0].position[0];
+    assert_eq!(particles.position[16], [x + 0.1, y, z - 0.1]);
+    assert_eq!(rollout.emitters()[0].position[0], particles.position[16]);
+    for wrong in [
+        rollout.set_gravity([0.0, f32::NAN, 0.0]),
+        rollout.move_emitter(1, [0.0; 3]),
+        rollout.move_emitter(0, [f32::MAX, f32::INFINITY, 0.0]),
+    ] {
+        assert!(matches!(wrong, Err(Error::Parameter(_))), "{wrong:?}");
+    }
+    assert_eq!(
+        (rollout.gravity(), rollout.emitters()[0].position[0]),
+        ([1.0, 0.0, 0.0], [x + 0.1, y, z - 0.1])
+    );
 }

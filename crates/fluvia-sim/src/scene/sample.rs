@@ -41,21 +41,30 @@ pub(super) fn sample(scene: &Scene, seed: u64) -> Result<Setup> {
     Ok(setup)
 }
 
+/// The surfaces of the walls that have one, in their place, with faces that look into the fluid.
+pub(super) fn surfaces(scene: &Scene) -> Result<Vec<TriangleMesh>> {
+    let meshes =
+        scene.walls.iter().enumerate().filter(|(_, wall)| !matches!(wall.source, Source::Particles(_)));
+    let surface = |(i, wall): (usize, &Wall)| {
+        let body = Body::new(scene, &wall.source, &wall.placement, format!("walls[{i}]"));
+        Ok(body.surface(body.mesh()?, wall.invert_normals))
+    };
+    meshes.map(surface).collect()
+}
+
 /// Adds a wall to the set-up.
 fn sample_wall(wall: &Wall, body: &Body<'_>, random: &mut Pcg64, setup: &mut Setup) -> Result<()> {
     let (particles, surface) = match wall.source {
         Source::Particles(_) => (body.wall_particles(wall.invert_normals)?, None),
         _ => {
-            let mut mesh = body.mesh()?;
+            let mesh = body.mesh()?;
             let particles = sample_surface(&mesh, setup.particle_radius, random);
             let mut particles = particles.map_err(|fault| body.fault(&fault))?;
             if !wall.invert_normals {
                 particles.normal.iter_mut().for_each(|normal| *normal = normal.map(|x| -x));
-                mesh.triangles.iter_mut().for_each(|triangle| triangle.swap(1, 2));
             }
             body.place(&mut particles.position)?;
-            let placed = |x: [f64; 3]| body.placement.translate(x.map(|x| x as f32)).map(f64::from);
-            (particles, Some(mesh.map(placed)))
+            (particles, Some(body.surface(mesh, wall.invert_normals)))
         }
     };
     let start = setup.boundary.position.len();
@@ -197,6 +206,14 @@ impl<'a> Body<'a> {
         let mut position = self.turned(particles.position);
         self.place(&mut position)?;
         Ok(Boundary { position, normal })
+    }
+
+    /// The mesh of a wall in its place, with faces that look into the fluid.
+    fn surface(&self, mut mesh: TriangleMesh, invert_normals: bool) -> TriangleMesh {
+        if !invert_normals {
+            mesh.triangles.iter_mut().for_each(|triangle| triangle.swap(1, 2));
+        }
+        mesh.map(|x| self.placement.translate(x.map(|x| x as f32)).map(f64::from))
     }
 
     fn turned(&self, positions: Vec<[f32; 3]>) -> Vec<[f32; 3]> {
