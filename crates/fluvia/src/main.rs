@@ -25,6 +25,7 @@ mod simulate;
 mod solvers;
 mod train;
 mod trained;
+mod view;
 
 use std::process::ExitCode;
 
@@ -65,6 +66,8 @@ enum Command {
     Compare(compare::Args),
     /// Draw frames: a picture, a contact sheet or a film.
     Render(render::Args),
+    /// Watch a scene run, or frames, in a browser, and steer it there.
+    View(view::Args),
     /// Say what is in a file, in the directory of a run or in a data set.
     Inspect(inspect::Args),
     /// Convert weights (.pt, .h5) to safetensors.
@@ -90,6 +93,7 @@ fn main() -> ExitCode {
         Command::Evaluate(args) => evaluate::run(&args, &report),
         Command::Compare(args) => compare::run(&args, &report),
         Command::Render(args) => render::run(&args, &report),
+        Command::View(args) => view::run(&args, &report),
         Command::Inspect(args) => inspect::run(&args, &report),
         Command::Convert(args) => convert::run(&args, &report),
         Command::Bench(args) => bench::run(&args, &report),

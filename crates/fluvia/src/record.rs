@@ -37,8 +37,28 @@ pub struct Record {
     pub gravity: [f32; 3],
     /// Steps asked for.
     pub steps: u64,
+    /// What was done to a run that somebody watched.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub live: Option<Live>,
     /// How the run went, once it has ended.
     pub summary: Option<Summary>,
+}
+
+/// What was done to a run that `fluvia view` recorded.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Live {
+    /// The step of the simulation that is frame 0 of the recording.
+    pub first_step: u64,
+    pub changes: Vec<Change>,
+}
+
+/// Something that was changed while a recording ran.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Change {
+    /// The frame of the recording that it follows.
+    pub frame: u64,
+    /// In words.
+    pub what: String,
 }
 
 /// What computed the steps of a run up to one of them.
@@ -197,6 +217,15 @@ pub fn hash_particles(setup: &Setup) -> String {
         add(&emitter.position);
         add(&emitter.velocity);
     }
+    hex(&hash.finalize())
+}
+
+/// A hash of the particles of a state.
+pub fn hash_state(state: &rollout::State) -> String {
+    let mut hash = Sha256::new();
+    let rollout::State { particles, .. } = state;
+    let floats = particles.position.iter().chain(&particles.velocity).flatten();
+    floats.for_each(|x| hash.update(x.to_le_bytes()));
     hex(&hash.finalize())
 }
 

@@ -74,7 +74,7 @@ impl Report {
 }
 
 /// An error and its causes in one line; errors of the libraries end with their cause already.
-fn one_line(error: &anyhow::Error) -> String {
+pub fn one_line(error: &anyhow::Error) -> String {
     let mut line = error.to_string();
     for cause in error.chain().skip(1).map(ToString::to_string) {
         if !line.ends_with(&cause) {
@@ -88,6 +88,11 @@ fn one_line(error: &anyhow::Error) -> String {
 /// Writes a line to standard error; where that is closed there is nobody to tell.
 fn complain(line: &str) {
     let _ = writeln!(std::io::stderr(), "{line}");
+}
+
+/// "1 particle", "2 particles".
+pub fn counted(count: usize, thing: &str) -> String {
+    format!("{count} {thing}{}", if count == 1 { "" } else { "s" })
 }
 
 /// A row of a Markdown table.

@@ -15,7 +15,7 @@ use fluvia_sim::scene::{DEFAULT_DT, Setup};
 use crate::interrupt;
 use crate::options::{PrecisionName, positive, substep, thread_pool, threads};
 use crate::record::{self, Record, Source, Summary};
-use crate::report::Report;
+use crate::report::{Report, counted};
 use crate::resume;
 use crate::solvers::{Choice, SolverName};
 use crate::trained;
@@ -143,6 +143,7 @@ fn prepare(args: &Args, report: &Report) -> Result<Prepared> {
         particle_radius: setup.particle_radius,
         gravity: setup.gravity,
         steps: args.steps,
+        live: None,
         summary: None,
     };
     Ok(Prepared { setup, solver, record, formats })
@@ -258,11 +259,6 @@ impl Warned {
         }
         warnings
     }
-}
-
-/// "1 particle", "2 particles".
-fn counted(count: usize, thing: &str) -> String {
-    format!("{count} {thing}{}", if count == 1 { "" } else { "s" })
 }
 
 fn describe(summary: &Summary, out: &Path) -> String {

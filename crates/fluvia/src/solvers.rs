@@ -31,7 +31,7 @@ pub enum Choice {
 }
 
 /// A solver that needs no weights.
-#[derive(Clone, Copy, clap::ValueEnum)]
+#[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub enum SolverName {
     /// Divergence-free SPH (Bender & Koschier 2015), the solver of the published data.
     Dfsph,
@@ -103,6 +103,17 @@ impl Choice {
         ))
     }
 
+    /// The viscosities that the solver takes, from the lowest to the highest; `None` if it is made for one.
+    pub fn viscosities(&self) -> Option<[f32; 2]> {
+        match self {
+            Choice::Dfsph(_) => Some(fit::DFSPH_VISCOSITIES),
+            Choice::Pbf(_) => None,
+            Choice::Network(weights, _) => {
+                weights.config.viscosity_range.filter(|_| fit::takes_viscosity(&weights.config))
+            }
+        }
+    }
+
     /// The name of the solver.
     pub fn name(&self) -> &'static str {
         match self {
@@ -113,8 +124,8 @@ impl Choice {
     }
 
     /// Makes the solver for the walls of a set-up, and makes sure that it takes the set-up's time step.
-    pub fn make(&self, setup: &Setup, kernel: Kernel) -> Result<Box<dyn Solver>> {
-        let mut solver: Box<dyn Solver> = match self {
+    pub fn make(&self, setup: &Setup, kernel: Kernel) -> Result<Box<dyn Solver + Send>> {
+        let mut solver: Box<dyn Solver + Send> = match self {
             Choice::Dfsph(params) => {
                 let liquids: Vec<_> = setup.emitters.iter().map(|emitter| liquid(emitter.material)).collect();
                 Box::new(Dfsph::new(*params, &setup.boundary, setup.particle_radius, &liquids)?)

@@ -4,13 +4,14 @@
 use std::path::{Path, PathBuf};
 
 /// What each crate may depend on, of this repository.
-const ARROWS: [(&str, &[&str]); 6] = [
+const ARROWS: [(&str, &[&str]); 7] = [
     ("fluvia-neighbors", &[]),
     ("cconv", &["fluvia-neighbors"]),
     ("fluvia-sim", &["fluvia-neighbors"]),
     ("fluvia-net", &["fluvia-neighbors", "cconv", "fluvia-sim"]),
     ("fluvia-render", &[]),
-    ("fluvia", &["fluvia-neighbors", "cconv", "fluvia-sim", "fluvia-net", "fluvia-render"]),
+    ("fluvia-view", &[]),
+    ("fluvia", &["fluvia-neighbors", "cconv", "fluvia-sim", "fluvia-net", "fluvia-render", "fluvia-view"]),
 ];
 
 /// Where files may be touched outside the binary.

@@ -48,7 +48,7 @@ fn written_materials(scene: &Scene) -> impl Iterator<Item = (String, Material)> 
 }
 
 /// The coefficients of viscosity that DFSPH takes: the part of the strain rate that goes in a step.
-const DFSPH_VISCOSITIES: [f32; 2] = [0.0, 1.0];
+pub const DFSPH_VISCOSITIES: [f32; 2] = [0.0, 1.0];
 
 fn check_dfsph_viscosity(path: &Path, prefix: &str, value: f32) -> Result<()> {
     let [low, high] = DFSPH_VISCOSITIES;
@@ -214,7 +214,7 @@ fn check_learned(path: &Path, key: &str, value: f32, config: &Config) -> Result<
 }
 
 /// Whether viscosity is an input of a network.
-fn takes_viscosity(config: &Config) -> bool {
+pub fn takes_viscosity(config: &Config) -> bool {
     config.extra_inputs.iter().any(|input| input == "viscosity")
 }
 

@@ -9,3 +9,4 @@ mod sequences;
 mod simulate;
 mod tools;
 mod train;
+mod view;

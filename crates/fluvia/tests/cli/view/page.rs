@@ -1,0 +1,365 @@
+//! The page in a real browser.
+
+use serde_json::json;
+
+use super::browser::Browser;
+use super::client::View;
+use crate::common::{Folder, SCENE, scene_of};
+
+/// The part of a window of 1000 x 700 in which the scene is, without what is written over it.
+const SCENE_COLUMNS: std::ops::Range<usize> = 30..660;
+const SCENE_ROWS: std::ops::Range<usize> = 110..560;
+
+#[test]
+fn a_scene_runs_and_is_touched() {
+    let Some(mut browser) = Browser::start() else { return };
+    let folder = Folder::new();
+    folder.write("scene.json", SCENE);
+    let view = View::start(&folder, "scene.json --solver pbf");
+    browser.set_scheme("dark");
+    browser.open(&format!("{}?fine", view.page()), 1000, 700);
+    browser.until("document.getElementById('particles').textContent === '64'");
+    assert_eq!(browser.text("title"), "scene");
+    let time = browser.number("time");
+    browser.until(&format!("Number(document.getElementById('time').textContent) > {}", time + 0.1));
+    let dark = browser.pixels();
+    assert!(dark.colors(SCENE_COLUMNS, SCENE_ROWS) > 200, "a blank picture");
+    assert!(dark.brightness() < 80.0, "{}", dark.brightness());
+
+    // A click on the floor drops a cube.
+    browser.value("(() => { const s = document.getElementById('size'); s.value = 0.15; s.dispatchEvent(new Event('input')); })()");
+    browser.click(350.0, 380.0);
+    browser.until("document.getElementById('particles').textContent === '91'");
+
+    // Pause, by the button and by a key: time stands still where the program stands.
+    browser.press("play");
+    browser.until("document.getElementById('play').getAttribute('aria-label') === 'Play'");
+    let mut client = view.connect();
+    let stopped = client.frame().time;
+    browser.until(&format!("document.getElementById('time').textContent === '{stopped:.2}'"));
+    std::thread::sleep(std::time::Duration::from_millis(400));
+    assert_eq!(browser.number("time"), format!("{stopped:.2}").parse::<f64>().unwrap());
+    let still = browser.settled();
+    browser.press("forward");
+    browser.until(&format!("document.getElementById('time').textContent === '{:.2}'", stopped + 0.02));
+    browser.value("document.getElementById('canvas').focus()");
+    browser.key(" ");
+    browser.until("document.getElementById('play').getAttribute('aria-label') === 'Pause'");
+    browser.until(&format!("Number(document.getElementById('time').textContent) > {}", stopped + 0.3));
+    browser.until_picture("the fluid has moved", |later| {
+        still.differing(later, SCENE_COLUMNS, SCENE_ROWS) > 0.002
+    });
+
+    // A drag turns the camera, and drops nothing.
+    browser.key(" ");
+    browser.until("document.getElementById('play').getAttribute('aria-label') === 'Play'");
+    let before = browser.settled();
+    browser.drag([300.0, 300.0], [420.0, 320.0]);
+    browser.until_picture("the camera has turned", |now| {
+        before.differing(now, SCENE_COLUMNS, SCENE_ROWS) > 0.01
+    });
+    browser.key("v");
+    browser.until_picture("the view is as it was", |now| {
+        before.differing(now, SCENE_COLUMNS, SCENE_ROWS) < 0.002
+    });
+    assert_eq!(browser.text("particles"), "91");
+
+    // The surface, and the light scheme, are other pictures of the same.
+    browser.key("s");
+    browser
+        .until_picture("there is a surface", |now| before.differing(now, SCENE_COLUMNS, SCENE_ROWS) > 0.005);
+    browser.set_scheme("light");
+    browser.until_picture("it is light", |now| now.brightness() > 150.0);
+
+    // Two solvers, and a recording.
+    browser.key("b");
+    browser.until("document.getElementById('labels').children.length === 2");
+    browser.press("record");
+    browser.until("document.getElementById('record').getAttribute('aria-pressed') === 'true'");
+    browser.press("record");
+    browser.until("document.getElementById('toast').textContent.includes('out/view/scene-001')");
+    browser.key("?");
+    browser.until("document.getElementById('help').open");
+    assert_eq!(browser.complaints, [""; 0]);
+}
+
+#[test]
+fn stored_frames_are_scrubbed() {
+    let Some(mut browser) = Browser::start() else { return };
+    let folder = Folder::new();
+    folder.write("scene.json", SCENE);
+    folder.succeed("simulate scene.json --solver pbf --steps 30 --out run");
+    let view = View::start(&folder, "run --paused");
+    browser.open(&format!("{}?fine", view.page()), 1000, 700);
+    browser.until("document.getElementById('particles').textContent === '64'");
+    assert_eq!(browser.value("document.getElementById('scrub').max"), "30");
+    let first = browser.settled();
+    // What is for simulations is not there.
+    assert_eq!(browser.value("document.getElementById('record').offsetParent"), json!(null));
+    browser.value(
+        "(() => { const s = document.getElementById('scrub'); s.value = 20; \
+         s.dispatchEvent(new Event('input')); s.dispatchEvent(new Event('change')); })()",
+    );
+    browser.until("document.getElementById('frame-number').textContent === 'frame 20'");
+    browser.until_picture("another frame is shown", |now| {
+        first.differing(now, SCENE_COLUMNS, SCENE_ROWS) > 0.002
+    });
+    browser.key(",");
+    browser.until("document.getElementById('frame-number').textContent === 'frame 19'");
+    browser.press("play");
+    browser.until("document.getElementById('frame-number').textContent === 'frame 30'");
+    assert_eq!(browser.complaints, [""; 0]);
+
+    // The page reads bytes as the program does: the frame as Rust decodes it, and as the page's module does.
+    let mut client = view.connect();
+    let frame = client.frame();
+    let panel = &frame.panels[0];
+    let expected: Vec<f64> = panel
+        .position
+        .iter()
+        .zip(&panel.speed)
+        .flat_map(|(x, speed)| [x[0], x[1], x[2], *speed])
+        .map(f64::from)
+        .collect();
+    let decoded = browser.value(
+        "(async () => { const { decode, decodePanel } = await import('./protocol.js'); \
+         const socket = new WebSocket(`ws://${location.host}/socket`); socket.binaryType = 'arraybuffer'; \
+         const frame = await new Promise((found) => { socket.onmessage = ({ data }) => { \
+           if (typeof data !== 'string') { const message = decode(data); if (message.kind === 'frame') found(message); } }; }); \
+         socket.close(); \
+         return { number: frame.number, time: frame.time, count: frame.panels[0].count, \
+           values: [...decodePanel(frame.panels[0])], small: [...frame.panels[0].small] }; })()",
+    );
+    assert_eq!((&decoded["number"], &decoded["count"]), (&frame.number.into(), &64.into()));
+    let values: Vec<f64> =
+        decoded["values"].as_array().unwrap().iter().map(|x| x.as_f64().unwrap()).collect();
+    assert_eq!(values.len(), expected.len());
+    for (found, exact) in values.iter().zip(&expected) {
+        // The rounding of float32 in a box of 0.5 m.
+        assert!((found - exact).abs() < 1e-6, "{found} and {exact}");
+    }
+}
+
+#[test]
+fn a_small_window_and_fingers() {
+    let Some(mut browser) = Browser::start() else { return };
+    let folder = Folder::new();
+    folder.write("scene.json", SCENE);
+    let view = View::start(&folder, "scene.json --solver pbf --paused");
+    browser.call("Emulation.setTouchEmulationEnabled", json!({"enabled": true, "maxTouchPoints": 2}));
+    browser.open(&format!("{}?fine", view.page()), 390, 780);
+    browser.until("document.getElementById('particles').textContent === '64'");
+    // Everything is inside the window, and nothing needs a scroll bar.
+    let outside = browser.value(
+        "[...document.querySelectorAll('#top, #tools, #transport, #transport *')].filter((e) => { \
+         const b = e.getBoundingClientRect(); return b.width > 0 && (b.left < -1 || b.right > innerWidth + 1); })\
+         .map((e) => e.id || e.tagName)",
+    );
+    assert_eq!(outside, json!([]));
+    let (columns, rows) = (20..370, 120..600);
+    let before = browser.settled();
+    assert!(before.colors(columns.clone(), rows.clone()) > 200, "a blank picture");
+    browser.value("(() => { const s = document.getElementById('size'); s.value = 0.15; s.dispatchEvent(new Event('input')); })()");
+    browser.tap(195.0, 400.0);
+    browser.until("document.getElementById('particles').textContent === '91'");
+    // Two fingers apart: nearer; and nothing is dropped.
+    // The ring where it was tapped has gone by then.
+    browser.until("document.getElementById('marks').children.length === 0");
+    let dropped = browser.settled();
+    browser.touch("touchStart", &[[180.0, 400.0], [210.0, 400.0]]);
+    browser.touch("touchMove", &[[150.0, 400.0], [240.0, 400.0]]);
+    browser.touch("touchEnd", &[]);
+    browser.until_picture("it is nearer", |now| dropped.differing(now, columns.clone(), rows.clone()) > 0.02);
+    assert_eq!(browser.text("particles"), "91");
+    // The settings are a sheet that opens and closes.
+    browser.press("settings-toggle");
+    browser.until("document.getElementById('settings').offsetHeight > 100");
+    assert_eq!(browser.complaints, [""; 0]);
+}
+
+#[test]
+fn everything_has_a_name_and_emitters_have_handles() {
+    let Some(mut browser) = Browser::start() else { return };
+    let folder = Folder::new();
+    let jet = r#""shape": "box", "scale": [0.1, 0.05, 0.1], "translation": [0, 0.6, 0], "velocity": [0, -3, 0],
+        "start": 0, "stop": 600, "step": 2"#;
+    folder.write("scene.json", scene_of(jet));
+    let view = View::start(&folder, "scene.json --solver pbf --paused");
+    browser.open(&format!("{}?fine", view.page()), 1000, 700);
+    browser.until("document.querySelectorAll('#handles button').length === 1");
+    browser.call("Accessibility.enable", json!({}));
+    let tree = browser.call("Accessibility.getFullAXTree", json!({}));
+    let controls = ["button", "slider", "switch", "radio", "combobox", "checkbox", "textbox", "application"];
+    let mut named = 0;
+    for node in tree["nodes"].as_array().unwrap() {
+        let role = node["role"]["value"].as_str().unwrap_or_default();
+        if node["ignored"] != true && controls.contains(&role) {
+            let name = node["name"]["value"].as_str().unwrap_or_default();
+            assert!(!name.trim().is_empty(), "{node}");
+            named += 1;
+        }
+    }
+    assert!(named > 20, "{named} controls");
+    // The arrow keys move the emitter.
+    let mut client = view.connect();
+    let at = |client: &super::client::Client| client.state["emitters"][0]["position"][1].as_f64().unwrap();
+    client.until("there is one", |_| true);
+    let before = at(&client);
+    browser.value("document.querySelector('#handles button').focus()");
+    browser.key("ArrowDown");
+    client
+        .until("it has moved", |state| state["emitters"][0]["position"][1].as_f64().unwrap() < before - 0.03);
+    assert_eq!(browser.complaints, [""; 0]);
+}
+
+/// What the page computes, apart from drawing it.
+#[test]
+fn its_modules_compute_what_they_say() {
+    let Some(mut browser) = Browser::start() else { return };
+    let folder = Folder::new();
+    folder.write("scene.json", SCENE);
+    let view = View::start(&folder, "scene.json --solver pbf --paused");
+    browser.open(&format!("{}?draw=off", view.page()), 1000, 700);
+    // A ray through a point of the picture is seen at that point, whatever is up and however it is turned.
+    let seen = browser.value(
+        "(async () => { const { Camera, project, rayThrough } = await import('./camera.js'); \
+         const found = []; \
+         for (const up of [[0, 1, 0], [0, 0, 1], [-1, 0, 0]]) { \
+           const camera = new Camera(); camera.setUp(up); camera.setBox([-1, 0, -1], [2, 1, 1]); \
+           camera.turn(0.7, -0.3); camera.pan(0.1, 0.2); camera.zoom(0.8); \
+           const look = camera.look(1.5, 700); \
+           const { origin, direction } = rayThrough(look, 0.3, -0.6); \
+           const { x, y, distance } = project(look, origin.map((x, a) => x + 2.5 * direction[a])); \
+           const above = project(look, camera.target.map((x, a) => x + 0.1 * camera.up[a])); \
+           found.push([x, y, distance > 0 ? 1 : 0, above.y > 0 ? 1 : 0]); } \
+         return found; })()",
+    );
+    for row in seen.as_array().unwrap() {
+        let row: Vec<f64> = row.as_array().unwrap().iter().map(|x| x.as_f64().unwrap()).collect();
+        assert!((row[0] - 0.3).abs() < 1e-9 && (row[1] + 0.6).abs() < 1e-9, "{row:?}");
+        assert_eq!(row[2..], [1.0, 1.0], "{row:?}");
+    }
+    // Everything that is fitted is inside the picture.
+    let outside = browser.value(
+        "(async () => { const { Camera, project } = await import('./camera.js'); \
+         const camera = new Camera(); camera.setBox([-3, 0, -0.5], [1, 2, 0.5]); let most = 0; \
+         for (const aspect of [0.4, 1, 2.5]) { const look = camera.look(aspect, 700); \
+           for (let k = 0; k < 8; k++) { \
+             const corner = [0, 1, 2].map((a) => (k & (1 << a) ? camera.high[a] : camera.low[a])); \
+             const { x, y } = project(look, corner); most = Math.max(most, Math.abs(x), Math.abs(y)); } } \
+         return most; })()",
+    );
+    assert!((0.7..=1.0).contains(&outside.as_f64().unwrap()), "{outside}");
+    // A cube has twelve edges, the diagonals of its sides are none; inside out it holds fluid, else it is an obstacle.
+    let cube = browser.value(
+        "(async () => { const { buildSurface } = await import('./walls.js'); \
+         const vertices = Float32Array.from({ length: 24 }, (_, k) => (Math.floor(k / 3) >> (k % 3)) & 1); \
+         const sides = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]]; \
+         const outwards = sides.flatMap(([a, b, c, d]) => [a, b, c, a, c, d]); \
+         return [outwards, [...outwards].reverse()].map((corners) => { \
+           const { faces, lines } = buildSurface({ vertices, triangles: Uint32Array.from(corners) }); \
+           return [faces.length / 21, lines.length / 14, faces[6]]; }); })()",
+    );
+    assert_eq!(cube, json!([[12, 12, 1], [12, 12, 0]]));
+    // The scale is lighter at every step, by as much.
+    let steps = browser.value(
+        "(async () => { const { ramp } = await import('./colors.js'); \
+         const light = ([r, g, b]) => { const [R, G, B] = [r, g, b].map((x) => x <= 0.04045 ? x / 12.92 : ((x + 0.055) / 1.055) ** 2.4); \
+           return 0.2104542553 * Math.cbrt(0.4122214708 * R + 0.5363325363 * G + 0.0514459929 * B) \
+             + 0.793617785 * Math.cbrt(0.2119034982 * R + 0.6806995451 * G + 0.1073969566 * B) \
+             - 0.0040720468 * Math.cbrt(0.0883024619 * R + 0.2817188376 * G + 0.6299787005 * B); }; \
+         const values = Array.from({ length: 21 }, (_, k) => light(ramp(k / 20))); \
+         return values.slice(1).map((value, k) => value - values[k]); })()",
+    );
+    for step in steps.as_array().unwrap() {
+        // Steps of 0.42 / 20; where the colour leaves sRGB it is clipped.
+        assert!((step.as_f64().unwrap() - 0.021).abs() < 0.008, "{steps}");
+    }
+    assert_eq!(browser.complaints, [""; 0]);
+}
+
+/// Measures: the frames of the directory FLUVIA_FRAMES, as fast as they come, received and decoded in the page (`?draw=off`).
+#[test]
+#[ignore = "a measurement, see validation/view.sh"]
+fn frames_that_the_page_receives() {
+    let mut browser = Browser::start().expect("a browser");
+    let frames = std::env::var("FLUVIA_FRAMES").expect("FLUVIA_FRAMES names a directory of frames");
+    let folder = Folder::new();
+    let view = View::start(&folder, &frames);
+    browser.open(&format!("{}?draw=off", view.page()), 1000, 700);
+    browser.value(
+        "(() => { const s = document.getElementById('speed'); s.value = 'null'; s.dispatchEvent(new Event('change')); \
+         setInterval(() => { const play = document.getElementById('play'); \
+           if (play.getAttribute('aria-label') === 'Play') play.click(); }, 5); })()",
+    );
+    browser.until("document.getElementById('frame-number').textContent !== ''");
+    std::thread::sleep(std::time::Duration::from_secs(3));
+    let rates: Vec<f64> = (0..8)
+        .map(|_| {
+            std::thread::sleep(std::time::Duration::from_secs(1));
+            browser.number("received")
+        })
+        .collect();
+    let mean = rates.iter().sum::<f64>() / rates.len() as f64;
+    println!(
+        "{} particles: {mean:.0} frames a second received and decoded, dropped {}",
+        browser.text("particles"),
+        browser.text("dropped")
+    );
+    assert!(mean > 0.0 && browser.complaints.is_empty(), "{:?}", browser.complaints);
+}
+
+/// Writes the README's pictures of the page; into the folder FLUVIA_PICTURES, if it is set, many more to look at.
+#[test]
+#[ignore = "writes docs/images/view_*.png"]
+fn pictures_of_the_page() {
+    let mut browser = Browser::start().expect("a browser");
+    let folder = Folder::new();
+    let all = std::env::var("FLUVIA_PICTURES").ok();
+    let images = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/images");
+    let pictures = std::path::Path::new(all.as_deref().unwrap_or(images));
+    let view = View::start(&folder, "dam_break --solver dfsph --paused");
+    let mut client = view.connect();
+    client.frame();
+    for number in 1..=44 {
+        client.send(json!({"do": "step", "by": 1}));
+        client.until_frame("it has stepped", |frame| frame.number == number);
+    }
+    let save = |browser: &mut Browser, name: &str| {
+        std::thread::sleep(std::time::Duration::from_secs(4));
+        std::fs::write(pictures.join(name), browser.screenshot()).expect("a picture");
+    };
+    let choose = |browser: &mut Browser, scheme: &str, look: &str| {
+        browser.set_scheme(scheme);
+        browser.value(&format!("document.querySelector('[value={look}]').click()"));
+    };
+    browser.open(&format!("{}?fine", view.page()), 1280, 800);
+    browser.until("document.getElementById('particles').textContent !== '–'");
+    choose(&mut browser, "dark", "particles");
+    save(&mut browser, "view_particles.png");
+    choose(&mut browser, "light", "surface");
+    save(&mut browser, "view_surface.png");
+    if all.is_none() {
+        return;
+    }
+    choose(&mut browser, "dark", "surface");
+    save(&mut browser, "view_surface_dark.png");
+    choose(&mut browser, "light", "particles");
+    save(&mut browser, "view_particles_light.png");
+    browser.resize(1920, 1080);
+    save(&mut browser, "view_large.png");
+    client.send(json!({"do": "compare", "on": true}));
+    save(&mut browser, "view_compare.png");
+    browser.key("?");
+    save(&mut browser, "view_help.png");
+    browser.value("document.getElementById('help').close()");
+    browser.resize(390, 844);
+    save(&mut browser, "view_compare_small.png");
+    client.send(json!({"do": "compare", "on": false}));
+    choose(&mut browser, "dark", "surface");
+    save(&mut browser, "view_small.png");
+    browser.value("document.getElementById('settings-toggle').click()");
+    save(&mut browser, "view_small_settings.png");
+    browser.resize(844, 390);
+    save(&mut browser, "view_flat.png");
+}
