@@ -5,6 +5,8 @@
 //! from where its normal (b - a) × (c - a) points. Polygons are cut into triangles, corners at equal positions
 //! become one vertex, and triangles that touch a vertex twice are left out, so that a surface is closed
 //! whatever way its file shares corners. Units are those of the file; a scene takes them for metres.
+//!
+//! Written are surfaces of liquids ([`Surface`]).
 
 mod crossing;
 mod geometry;
@@ -12,6 +14,7 @@ mod obj;
 mod ply;
 mod polygons;
 mod stl;
+mod surface;
 
 use std::fs;
 use std::path::Path;
@@ -21,6 +24,7 @@ use rayon::prelude::*;
 use crate::{Error, Result};
 pub(crate) use crossing::{Crossing, Filling, crossing};
 pub(crate) use geometry::{Vec3, cross, distance_to_triangle, dot, scaled, sub};
+pub use surface::{Surface, SurfaceFormat};
 
 /// Meshes with more corners than this do not fit the 32-bit indices.
 const MAX_CORNERS: usize = u32::MAX as usize;

@@ -23,6 +23,8 @@ pub struct FrameSource {
     pub particle_radius: f32,
     /// Metres per second squared.
     pub gravity: [f32; 3],
+    /// Whether the radius is known, and not the usual one for want of a record.
+    radius_is_recorded: bool,
     kind: Kind,
 }
 
@@ -59,9 +61,10 @@ impl FrameSource {
             record.as_ref().map_or((dt, DEFAULT_PARTICLE_RADIUS, DEFAULT_GRAVITY), |record| {
                 (record.dt, record.particle_radius, record.gravity)
             });
+        let radius_is_recorded = record.is_some();
         let walls = run::read_walls(path)?.unwrap_or_default();
         let (path, dt, kind) = (path.to_path_buf(), decimal(dt), Kind::Run(record.map(Box::new)));
-        Ok(FrameSource { path, numbers, walls, dt, particle_radius, gravity, kind })
+        Ok(FrameSource { path, numbers, walls, dt, particle_radius, gravity, radius_is_recorded, kind })
     }
 
     fn of_sequence(path: &Path, dt: f32) -> Result<FrameSource> {
@@ -79,6 +82,7 @@ impl FrameSource {
             dt: decimal(scene.map_or(dt, |scene| scene.dt.unwrap_or(DEFAULT_DT))),
             particle_radius: scene.and_then(|scene| scene.particle_radius).unwrap_or(DEFAULT_PARTICLE_RADIUS),
             gravity: scene.and_then(|scene| scene.gravity).unwrap_or(DEFAULT_GRAVITY),
+            radius_is_recorded: scene.is_some(),
             kind: Kind::Sequence(Box::new(sequence)),
         })
     }
@@ -86,6 +90,13 @@ impl FrameSource {
     /// What was opened.
     pub fn path(&self) -> &Path {
         &self.path
+    }
+
+    /// Takes the particles for ones of `radius`, metres, where that is not recorded.
+    pub fn assume_radius(&mut self, radius: Option<f32>) {
+        if !self.radius_is_recorded {
+            self.particle_radius = radius.unwrap_or(self.particle_radius);
+        }
     }
 
     /// The numbers of the frames, in their order.

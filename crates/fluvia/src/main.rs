@@ -12,8 +12,10 @@ mod data_set;
 mod evaluate;
 mod frame_source;
 mod generate;
+mod in_order;
 mod inspect;
 mod interrupt;
+mod mesh;
 mod options;
 mod plot;
 mod plots;
@@ -23,6 +25,7 @@ mod report;
 mod resume;
 mod simulate;
 mod solvers;
+mod surface;
 mod train;
 mod trained;
 mod view;
@@ -68,6 +71,8 @@ enum Command {
     Render(render::Args),
     /// Watch a scene run, or frames, in a browser, and steer it there.
     View(view::Args),
+    /// Make surfaces of the liquid in frames, as meshes for Blender, Houdini and ParaView.
+    Mesh(mesh::Args),
     /// Say what is in a file, in the directory of a run or in a data set.
     Inspect(inspect::Args),
     /// Convert weights (.pt, .h5) to safetensors.
@@ -94,6 +99,7 @@ fn main() -> ExitCode {
         Command::Compare(args) => compare::run(&args, &report),
         Command::Render(args) => render::run(&args, &report),
         Command::View(args) => view::run(&args, &report),
+        Command::Mesh(args) => mesh::run(&args, &report),
         Command::Inspect(args) => inspect::run(&args, &report),
         Command::Convert(args) => convert::run(&args, &report),
         Command::Bench(args) => bench::run(&args, &report),

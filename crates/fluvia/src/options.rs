@@ -36,6 +36,49 @@ pub fn positive(text: &str) -> std::result::Result<f32, String> {
     number.ok_or_else(|| "expected a positive number".into())
 }
 
+/// Frames by their numbers: one, or all that there are from the first to the last.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FrameRange {
+    One(u64),
+    /// Both ends are in it.
+    All(u64, u64),
+}
+
+/// Parses `N` or `FIRST..LAST`.
+pub fn frame_range(text: &str) -> std::result::Result<FrameRange, String> {
+    let number = |text: &str| text.parse().ok();
+    let range = match text.split_once("..") {
+        Some((first, last)) => {
+            number(first).zip(number(last)).map(|(first, last)| FrameRange::All(first, last))
+        }
+        None => number(text).map(FrameRange::One),
+    };
+    let range = range.filter(|range| !matches!(range, FrameRange::All(first, last) if first > last));
+    range.ok_or_else(|| "expected the number of a frame, or FIRST..LAST".into())
+}
+
+/// The frames that are asked for, of those that there are; all if none are.
+///
+/// # Errors
+/// If a range holds none.
+pub fn chosen_frames(there: &[u64], ranges: &[FrameRange]) -> Result<Vec<u64>> {
+    let mut chosen = Vec::new();
+    for &range in ranges {
+        match range {
+            FrameRange::One(number) => chosen.push(number),
+            FrameRange::All(first, last) => {
+                let count = chosen.len();
+                chosen.extend(there.iter().filter(|number| (first..=last).contains(number)));
+                if chosen.len() == count {
+                    let (lowest, highest) = (there[0], there[there.len() - 1]);
+                    bail!("--frames: none from {first} to {last}, there are {lowest} to {highest}");
+                }
+            }
+        }
+    }
+    Ok(if ranges.is_empty() { there.to_vec() } else { chosen })
+}
+
 /// The step that `--solver-dt` or `--solver-dt-max` asks for, of a solver for frames that are `frame` seconds apart.
 ///
 /// # Errors
@@ -87,7 +130,20 @@ mod tests {
     fn values_out_of_range_are_refused() {
         assert_eq!(threads("2"), Ok(2));
         assert!(["0", "-1", "1025", "two", ""].iter().all(|text| threads(text).is_err()));
+        assert_eq!(frame_range("7"), Ok(FrameRange::One(7)));
+        assert_eq!(frame_range("3..9"), Ok(FrameRange::All(3, 9)));
+        assert!(["", "-1", "9..3", "..", "3..", "a..b"].iter().all(|text| frame_range(text).is_err()));
         assert_eq!(positive("0.25"), Ok(0.25));
         assert!(["0", "-1", "nan", "inf", "fast", ""].iter().all(|text| positive(text).is_err()));
+    }
+
+    #[test]
+    fn ranges_hold_the_frames_that_there_are() {
+        let there = [0, 5, 10, 15];
+        let chosen = |ranges: &[FrameRange]| chosen_frames(&there, ranges);
+        assert_eq!(chosen(&[]).unwrap(), there);
+        assert_eq!(chosen(&[FrameRange::All(4, 12), FrameRange::One(3)]).unwrap(), [5, 10, 3]);
+        let error = chosen(&[FrameRange::All(6, 9)]).unwrap_err().to_string();
+        assert!(error.contains("6 to 9") && error.contains("0 to 15"), "{error}");
     }
 }

@@ -5,6 +5,7 @@ mod compare;
 mod evaluate;
 mod faults;
 mod generate;
+mod mesh;
 mod sequences;
 mod simulate;
 mod tools;
