@@ -11,8 +11,8 @@ use std::f32::consts::TAU;
 use std::path::PathBuf;
 
 use fluvia_render::{
-    Camera, Frame, GifEncoder, Image, OutsideTest, Palette, Row, Scale, Sheet, Style, Subject, Tile, Values,
-    View, Walls, draw_frame, encode_png, sheet, speeds,
+    Camera, Frame, GifEncoder, Image, OutsideTest, Palette, Row, Scale, Sheet, Stage, Style, Subject, Tile,
+    Values, View, Walls, draw_frame, encode_png, sheet, speeds,
 };
 
 /// Particle radius, metres; particles are two radii apart.
@@ -26,7 +26,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let directory = PathBuf::from(std::env::args().nth(1).unwrap_or_else(|| ".".to_owned()));
     let (wall, normal) = tank();
     let walls = Walls { position: &wall, normal: &normal };
-    let test = OutsideTest::new(walls, RADIUS);
+    let (test, stage) = (OutsideTest::new(walls, RADIUS), Stage::new(walls));
     let moments: Vec<Moment> = (0..FRAMES).map(|frame| wave(frame as f32 / FRAMES as f32, &test)).collect();
 
     // One camera and one colour scale for all pictures.
@@ -35,16 +35,15 @@ fn main() -> Result<(), Box<dyn Error>> {
     moments.iter().for_each(|moment| subject.add(&moment.position));
     let camera = Camera::fit(&subject, &View { width: 480, ..View::default() })?;
 
-    let image = draw_frame(&moments[0].frame(), walls, &camera, &style)?;
+    let image = draw_frame(&moments[0].frame(), &stage, &camera, &style)?;
     std::fs::write(directory.join("frame.png"), encode_png(&image)?)?;
 
     let tile = |index: usize| {
         let note = format!("{:.2} s", index as f32 / FRAMES as f32);
-        Tile { frame: moments[index].frame(), label: format!("frame {index}"), note }
+        Tile { frame: moments[index].frame(), stage: Some(&stage), label: format!("frame {index}"), note }
     };
     let row = |label: &str, frames: [usize; 3]| Row {
         label: label.to_owned(),
-        walls,
         tiles: frames.into_iter().map(tile).collect(),
     };
     let rows = vec![row("first half", [0, 4, 8]), row("second half", [12, 16, 20])];
@@ -53,7 +52,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 
     let film: Vec<Image> = (0..FRAMES)
         .map(|index| {
-            let row = Row { label: String::new(), walls, tiles: vec![tile(index)] };
+            let row = Row { label: String::new(), tiles: vec![tile(index)] };
             sheet(&Sheet { title: String::new(), rows: vec![row] }, &camera, &style)
         })
         .collect::<Result<_, _>>()?;
@@ -75,7 +74,12 @@ struct Moment {
 
 impl Moment {
     fn frame(&self) -> Frame<'_> {
-        Frame { position: &self.position, values: Values::Scalar(&self.speed), outside: &self.outside }
+        Frame {
+            position: &self.position,
+            values: Values::Scalar(&self.speed),
+            outside: &self.outside,
+            ..Frame::default()
+        }
     }
 }
 

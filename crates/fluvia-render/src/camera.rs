@@ -4,38 +4,11 @@
 //! d = -b·(p - e) and at the pixel x = f r·(p - e) / d + s_x, y = -f u·(p - e) / d + s_y (down). The focal
 //! length f and the shift s are those at which what must be seen fills the image to its margins.
 
+use crate::bounds::{Bounds, central_box};
 use crate::draw::Walls;
+use crate::vector::unit;
+use crate::view::{ASPECT, MAX_PITCH, MAX_SIDE, SWEEP_STEP, USUAL_ASPECT, View, check};
 use crate::{Error, Result};
-
-/// From where to look and how large the picture is.
-#[derive(Clone, Debug, PartialEq)]
-pub struct View {
-    /// The turn of the camera about the vertical, degrees; 0 looks along -z, positive goes towards +x.
-    pub yaw: f32,
-    /// How far the camera looks down, degrees, -89 to 89.
-    pub pitch: f32,
-    /// Width of the picture, pixels.
-    pub width: u32,
-    /// Height of the picture, pixels; `None`: as the scene needs, 0.4 to 1.8 times the width.
-    pub height: Option<u32>,
-    /// Free pixels at each edge.
-    pub margin: u32,
-    /// The highest point to show, metres; `None`: the highest particle.
-    pub top: Option<f32>,
-}
-
-/// The lowest and highest ratio of height to width that a camera chooses by itself.
-const ASPECT: [f64; 2] = [0.4, 1.8];
-/// The largest side of a picture, pixels: what viewers still open.
-const MAX_SIDE: u32 = 16_384;
-/// The steepest pitch, degrees: straight up and down the horizontal directions are lost.
-const MAX_PITCH: f32 = 89.0;
-
-impl Default for View {
-    fn default() -> View {
-        View { yaw: 24.0, pitch: 18.0, width: 640, height: None, margin: 4, top: None }
-    }
-}
 
 /// What a camera must show: the walls, and the particles of all frames.
 #[derive(Clone, Debug)]
@@ -81,13 +54,16 @@ pub struct Camera {
     /// the origin.
     axes: [[f64; 3]; 3],
     eye: [f64; 3],
+    /// What it turns around.
+    pivot: [f64; 3],
     /// Pixels by which a metre at a distance of one metre is seen.
     focal: f64,
     shift: [f64; 2],
     near: f64,
-    /// Depths of the scene's centre and of its farthest point, metres.
-    middle: f64,
+    /// The depth of the scene's farthest point, metres.
     far: f64,
+    /// The direction to the lamp, a unit vector.
+    lamp: [f64; 3],
     /// Up, a unit vector, and the height along it above which walls are cut away, metres.
     up: [f64; 3],
     top: f64,
@@ -103,6 +79,8 @@ const DISTANCE_TALL: f64 = 1.5;
 const DISTANCE_LEAST: f64 = 20.0;
 /// What is nearer than this part of the distance to the scene's centre is not drawn.
 const NEAR: f64 = 0.3;
+/// What is nearer than this many particle radii is not drawn, if the eye is given.
+const NEAR_GIVEN: f64 = 4.0;
 
 impl Camera {
     /// The camera that frames `subject`: the walls from the floor to the highest particle or to `view.top`,
@@ -119,28 +97,57 @@ impl Camera {
         let distance = (DISTANCE * wide.hypot(deep))
             .max(DISTANCE_TALL * wide.hypot(deep).hypot(tall))
             .max(DISTANCE_LEAST * radius);
-        let axes = view_axes(view);
-        let centre = bounds.centre();
-        let eye = std::array::from_fn(|k| centre[k] + distance * axes[2][k]);
+        let upright = upright(subject.up);
+        let given = |point: [f32; 3]| rotate(&upright, point.map(f64::from));
+        let pivot = view.look_at.map_or_else(|| bounds.centre(), given);
+        let (axes, eye) = match view.eye.map(given) {
+            Some(eye) => (axes_from(eye, pivot)?, eye),
+            None => {
+                let axes = view_axes(view);
+                (axes, std::array::from_fn(|k| pivot[k] + distance * axes[2][k]))
+            }
+        };
+        let away = (0..3).map(|k| (eye[k] - pivot[k]).powi(2)).sum::<f64>().sqrt();
+        let near = if view.eye.is_some() { NEAR_GIVEN * radius } else { NEAR * away };
         let mut camera = Camera {
             axes,
             eye,
+            pivot,
             focal: 1.0,
             shift: [0.0; 2],
-            near: NEAR * distance,
-            middle: distance,
+            near,
             far: 0.0,
-            up: upright(subject.up)[1],
+            lamp: [0.0; 3],
+            up: [0.0, 1.0, 0.0],
             top,
             width: view.width,
             height: view.width,
         };
-        camera.frame(&points, view, 2.0 * radius / distance);
-        camera.far = points.iter().map(|&point| camera.project_wide(point)[2]).fold(distance, f64::max);
-        let upright = upright(subject.up);
+        camera.frame(&points, view, 2.0 * radius / away);
         camera.axes = camera.axes.map(|axis| rotate_back(&upright, axis));
         camera.eye = rotate_back(&upright, camera.eye);
+        camera.pivot = rotate_back(&upright, camera.pivot);
+        camera.up = upright[1];
+        camera.lamp = rotate_back(&upright, lamp(axes));
         Ok(camera)
+    }
+
+    /// The same camera turned about the vertical through what it looks at, degrees. The lamp stays where it is.
+    pub fn turned(&self, degrees: f32) -> Camera {
+        let mut camera = self.clone();
+        let (sine, cosine) = f64::from(degrees).to_radians().sin_cos();
+        let up = self.up;
+        // Rodrigues' formula.
+        let turn = |p: [f64; 3]| {
+            let across =
+                [up[1] * p[2] - up[2] * p[1], up[2] * p[0] - up[0] * p[2], up[0] * p[1] - up[1] * p[0]];
+            let along = up[0] * p[0] + up[1] * p[1] + up[2] * p[2];
+            std::array::from_fn(|k| p[k] * cosine + across[k] * sine + up[k] * along * (1.0 - cosine))
+        };
+        let offset = turn(std::array::from_fn(|k| self.eye[k] - self.pivot[k]));
+        camera.eye = std::array::from_fn(|k| self.pivot[k] + offset[k]);
+        camera.axes = self.axes.map(turn);
+        camera
     }
 
     /// Width of the picture, pixels.
@@ -171,9 +178,13 @@ impl Camera {
         seen.then_some([x as f32, y as f32, depth as f32])
     }
 
-    /// The depth of the scene's centre, metres.
-    pub(crate) fn middle(&self) -> f32 {
-        self.middle as f32
+    /// The point that is seen at a pixel and a depth: the inverse of [`Camera::project`].
+    pub(crate) fn unproject(&self, [x, y, depth]: [f32; 3]) -> [f32; 3] {
+        let depth = f64::from(depth);
+        let right = (f64::from(x) - self.shift[0]) * depth / self.focal;
+        let up = (self.shift[1] - f64::from(y)) * depth / self.focal;
+        let offset = rotate_back(&self.axes, [right, up, -depth]);
+        std::array::from_fn(|k| (self.eye[k] + offset[k]) as f32)
     }
 
     /// The depth of the scene's farthest point, metres.
@@ -181,9 +192,19 @@ impl Camera {
         self.far as f32
     }
 
-    /// Whether a wall point lies above the scene's top, where walls are cut away.
-    pub(crate) fn cuts_away(&self, point: [f32; 3]) -> bool {
-        (0..3).map(|k| self.up[k] * f64::from(point[k])).sum::<f64>() > self.top
+    /// Up, a unit vector.
+    pub(crate) fn up(&self) -> [f32; 3] {
+        self.up.map(|x| x as f32)
+    }
+
+    /// The direction to the lamp, a unit vector.
+    pub(crate) fn lamp(&self) -> [f32; 3] {
+        self.lamp.map(|x| x as f32)
+    }
+
+    /// The height along [`Camera::up`] above which walls are cut away, metres.
+    pub(crate) fn top(&self) -> f32 {
+        self.top as f32
     }
 
     /// A direction in the camera's axes: right, up, to the viewer.
@@ -191,29 +212,60 @@ impl Camera {
         rotate(&self.axes, direction.map(f64::from)).map(|x| x as f32)
     }
 
-    /// Chooses focal length, shift and height so that `points` fill the picture to its margins; `least` is the
-    /// least extent to fill it with, at a focal length of 1.
+    /// The direction that has these parts along the camera's axes: the inverse of [`Camera::turn`].
+    pub(crate) fn to_world(&self, direction: [f32; 3]) -> [f32; 3] {
+        rotate_back(&self.axes, direction.map(f64::from)).map(|x| x as f32)
+    }
+
+    /// The direction from a point to the eye, a unit vector.
+    pub(crate) fn toward_eye(&self, point: [f32; 3]) -> [f32; 3] {
+        unit(std::array::from_fn(|k| (self.eye[k] - f64::from(point[k])) as f32))
+    }
+
+    /// Chooses focal length, shift and height so that `points` fill the picture to its margins all the way of the
+    /// sweep; `least` is the least extent to fill it with, at a focal length of 1.
     fn frame(&mut self, points: &[[f64; 3]], view: &View, least: f64) {
         let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
-        for &point in points {
-            let [x, y, _] = self.project_wide(point);
-            for (k, value) in [x, y].into_iter().enumerate() {
-                low[k] = low[k].min(value);
-                high[k] = high[k].max(value);
+        let steps = (view.sweep.abs().min(360.0) / SWEEP_STEP).ceil();
+        for step in 0..=steps as usize {
+            let part = if steps > 0.0 { step as f32 / steps } else { 0.0 };
+            let camera = self.turned(part * view.sweep.clamp(-360.0, 360.0));
+            for &point in points {
+                let [x, y, depth] = camera.project_wide(point);
+                self.far = self.far.max(depth);
+                if depth <= self.near {
+                    continue;
+                }
+                for (k, value) in [x, y].into_iter().enumerate() {
+                    low[k] = low[k].min(value);
+                    high[k] = high[k].max(value);
+                }
             }
+        }
+        let is_given = view.eye.is_some() || view.look_at.is_some() || view.field_of_view.is_some();
+        if is_given || view.sweep != 0.0 {
+            // What is looked at is in the middle.
+            let half = [0, 1].map(|k| low[k].abs().max(high[k].abs()));
+            (low, high) = (half.map(|x| -x), half);
         }
         // A scene without extent is shown as large as a particle.
         let span = [0, 1].map(|k| (high[k] - low[k]).max(least));
         let margin = f64::from(view.margin.min(view.width / 4));
         let width = f64::from(view.width);
-        let natural = (width - 2.0 * margin) / span[0] * span[1] + 2.0 * margin;
+        let natural = match is_given {
+            true => USUAL_ASPECT * width,
+            false => (width - 2.0 * margin) / span[0] * span[1] + 2.0 * margin,
+        };
         self.height = view.height.unwrap_or_else(|| {
             natural.clamp((ASPECT[0] * width).ceil(), ASPECT[1] * width).round().clamp(1.0, MAX_SIDE.into())
                 as u32
         });
         let size = [width, f64::from(self.height)];
         let margins = [margin, margin.min(size[1] / 4.0)];
-        self.focal = (0..2).map(|k| (size[k] - 2.0 * margins[k]) / span[k]).fold(f64::INFINITY, f64::min);
+        self.focal = match view.field_of_view {
+            Some(angle) => 0.5 * size[1] / (0.5 * f64::from(angle).to_radians()).tan(),
+            None => (0..2).map(|k| (size[k] - 2.0 * margins[k]) / span[k]).fold(f64::INFINITY, f64::min),
+        };
         self.shift = [0, 1].map(|k| size[k] / 2.0 - self.focal * (low[k] + high[k]) / 2.0);
     }
 
@@ -221,26 +273,6 @@ impl Camera {
         let offset = std::array::from_fn(|k| point[k] - self.eye[k]);
         let [x, y, back] = rotate(&self.axes, offset);
         [self.shift[0] + self.focal * x / -back, self.shift[1] + self.focal * y / back, -back]
-    }
-}
-
-fn check(view: &View) -> Result<()> {
-    let sides =
-        [("picture width in pixels", view.width), ("picture height in pixels", view.height.unwrap_or(1))];
-    for (what, side) in sides {
-        if !(1..=MAX_SIDE).contains(&side) {
-            return Err(Error::parameter(what, side, "1 to 16384"));
-        }
-    }
-    if !view.yaw.is_finite() {
-        return Err(Error::parameter("yaw in degrees", view.yaw, "a finite number"));
-    }
-    if view.pitch.is_nan() || view.pitch.abs() > MAX_PITCH {
-        return Err(Error::parameter("pitch in degrees", view.pitch, "-89 to 89"));
-    }
-    match view.top {
-        Some(top) if !top.is_finite() => Err(Error::parameter("top in metres", top, "a finite number")),
-        _ => Ok(()),
     }
 }
 
@@ -292,6 +324,31 @@ fn view_axes(view: &View) -> [[f64; 3]; 3] {
     [[cy, 0.0, -sy], [-sp * sy, cp, -sp * cy], [cp * sy, sp, cp * cy]]
 }
 
+/// Right, up, back for a camera at `eye` that looks at `pivot`, y up.
+fn axes_from(eye: [f64; 3], pivot: [f64; 3]) -> Result<[[f64; 3]; 3]> {
+    let back: [f64; 3] = std::array::from_fn(|k| eye[k] - pivot[k]);
+    let (flat, length) = (back[0].hypot(back[2]), back[0].hypot(back[2]).hypot(back[1]));
+    let least = length * f64::from(MAX_PITCH).to_radians().cos();
+    if flat <= least || !length.is_finite() {
+        let found = format!("{:?} above or below what it looks at", eye.map(|x| x as f32));
+        return Err(Error::parameter("place of the camera in metres", found, "a place beside it"));
+    }
+    let (sy, cy) = (back[0] / flat, back[2] / flat);
+    let (sp, cp) = (back[1] / length, flat / length);
+    Ok([[cy, 0.0, -sy], [-sp * sy, cp, -sp * cy], [cp * sy, sp, cp * cy]])
+}
+
+/// How far the lamp stands to the right, above and before the scene as the camera first sees it.
+const LAMP: [f64; 3] = [-0.55, 0.95, 0.42];
+
+/// The direction to the lamp for a camera's axes, y up: a unit vector.
+fn lamp([[cosine, _, sine], ..]: [[f64; 3]; 3]) -> [f64; 3] {
+    let [right, up, before] = LAMP;
+    let lamp = [right * cosine - before * sine, up, right * sine + before * cosine];
+    let length = lamp.iter().map(|x| x * x).sum::<f64>().sqrt();
+    lamp.map(|x| x / length)
+}
+
 /// The shortest rotation that turns `up` into +y; the identity if `up` has no direction.
 fn upright(up: [f32; 3]) -> [[f64; 3]; 3] {
     let length = up.iter().map(|&x| f64::from(x).powi(2)).sum::<f64>().sqrt();
@@ -313,79 +370,4 @@ fn rotate(rows: &[[f64; 3]; 3], p: [f64; 3]) -> [f64; 3] {
 
 fn rotate_back(rows: &[[f64; 3]; 3], p: [f64; 3]) -> [f64; 3] {
     std::array::from_fn(|k| rows[0][k] * p[0] + rows[1][k] * p[1] + rows[2][k] * p[2])
-}
-
-/// An axis-aligned box.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Bounds {
-    low: [f64; 3],
-    high: [f64; 3],
-}
-
-impl Bounds {
-    const EMPTY: Bounds = Bounds { low: [f64::INFINITY; 3], high: [f64::NEG_INFINITY; 3] };
-
-    fn is_empty(&self) -> bool {
-        self.low[0] > self.high[0]
-    }
-
-    fn add(&mut self, point: &[f64; 3]) {
-        *self = self.with(point);
-    }
-
-    fn with(self, point: &[f64; 3]) -> Bounds {
-        Bounds {
-            low: std::array::from_fn(|k| self.low[k].min(point[k])),
-            high: std::array::from_fn(|k| self.high[k].max(point[k])),
-        }
-    }
-
-    fn contains(&self, point: &[f64; 3]) -> bool {
-        (0..3).all(|k| self.low[k] <= point[k] && point[k] <= self.high[k])
-    }
-
-    fn size(&self) -> [f64; 3] {
-        std::array::from_fn(|k| (self.high[k] - self.low[k]).max(0.0))
-    }
-
-    fn centre(&self) -> [f64; 3] {
-        std::array::from_fn(|k| 0.5 * (self.low[k] + self.high[k]))
-    }
-
-    fn grown_by(&self, length: f64) -> Bounds {
-        Bounds { low: self.low.map(|x| x - length), high: self.high.map(|x| x + length) }
-    }
-
-    /// Grown on each side by its largest side, and by `least`.
-    fn grown(&self, least: f64) -> Bounds {
-        self.grown_by(self.size().into_iter().fold(least, f64::max))
-    }
-
-    fn capped(mut self, top: Option<f32>) -> Bounds {
-        if let Some(top) = top {
-            self.high[1] = f64::from(top).max(self.low[1]);
-        }
-        self
-    }
-
-    fn corners(&self) -> [[f64; 3]; 8] {
-        std::array::from_fn(|corner| {
-            std::array::from_fn(|k| if corner >> k & 1 == 0 { self.low[k] } else { self.high[k] })
-        })
-    }
-}
-
-/// One particle in this many, on each side of each axis, does not count as central.
-const FAR_FRACTION: usize = 500;
-
-/// The box of all but the outermost points of each axis; `None` without points. Reorders `points`.
-fn central_box(points: &mut [[f64; 3]]) -> Option<Bounds> {
-    let last = points.len().checked_sub(1)?;
-    let skip = points.len() / FAR_FRACTION;
-    let mut bounds = Bounds::EMPTY;
-    for k in 0..3 {
-        bounds.low[k] = points.select_nth_unstable_by(skip, |a, b| a[k].total_cmp(&b[k])).1[k];
-        bounds.high[k] = points.select_nth_unstable_by(last - skip, |a, b| a[k].total_cmp(&b[k])).1[k];
-    }
-    Some(bounds)
 }

@@ -10,8 +10,10 @@ pub type Rgb = [u8; 3];
 pub(crate) const PAGE: Rgb = [13, 16, 21];
 /// The background of a tile.
 pub(crate) const TILE: Rgb = [24, 29, 37];
-/// Wall points.
-pub(crate) const WALL: Rgb = [165, 182, 204];
+/// Wall points without a normal.
+pub(crate) const DOT: Rgb = [165, 182, 204];
+/// Walls.
+pub(crate) const WALL_COLOR: Rgb = [120, 128, 140];
 /// Titles and labels.
 pub(crate) const TEXT: Rgb = [234, 238, 244];
 /// Times, units and other text that stands back.
@@ -162,6 +164,37 @@ pub(crate) fn srgb_to_oklab(color: Rgb) -> [f32; 3] {
         1.977_998_5 * long - 2.428_592_2 * medium + 0.450_593_7 * short,
         0.025_904_037 * long + 0.782_771_77 * medium - 0.808_675_77 * short,
     ]
+}
+
+/// A colour in linear light, 0 to 1.
+pub(crate) fn linear(color: Rgb) -> [f32; 3] {
+    color.map(|channel| linear_from_srgb(f32::from(channel) / 255.0))
+}
+
+/// Steps of the table from linear light to bytes.
+const TONE_STEPS: usize = 8192;
+/// Light from which on it is compressed: highlights keep their shape and do not tear.
+const TONE_KNEE: f32 = 0.75;
+
+/// From linear light to the bytes of a picture, as a table.
+pub(crate) struct Tone(Vec<u8>);
+
+impl Tone {
+    pub(crate) fn new() -> Tone {
+        let byte = |step: usize| (255.0 * srgb_from_linear(step as f32 / TONE_STEPS as f32)).round() as u8;
+        Tone((0..=TONE_STEPS).map(byte).collect())
+    }
+
+    /// The colour of light: its bytes, compressed above the knee.
+    pub(crate) fn color(&self, light: [f32; 3]) -> Rgb {
+        light.map(|x| {
+            // From the knee on the way to 1 takes for ever.
+            let over = (x - TONE_KNEE) / (1.0 - TONE_KNEE);
+            let x = if over > 0.0 { TONE_KNEE + (1.0 - TONE_KNEE) * over / (1.0 + over) } else { x };
+            // Casts saturate, and round down.
+            self.0[((x * TONE_STEPS as f32 + 0.5) as usize).min(TONE_STEPS)]
+        })
+    }
 }
 
 fn srgb_from_linear(x: f32) -> f32 {

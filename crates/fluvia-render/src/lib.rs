@@ -12,7 +12,9 @@
 //! same bits at any thread count.
 //!
 //! ```
-//! use fluvia_render::{Camera, Frame, Style, Subject, Values, View, Walls, draw_frame, encode_png, speeds};
+//! use fluvia_render::{
+//!     Camera, Frame, Stage, Style, Subject, Values, View, Walls, draw_frame, encode_png, speeds,
+//! };
 //!
 //! let position = [[0.0, 0.1, 0.0], [0.05, 0.1, 0.0]];
 //! let speed = speeds(&[[0.0, -1.0, 0.0], [0.0, -2.0, 0.0]]);
@@ -20,32 +22,44 @@
 //! let mut subject = Subject::new(Walls::default(), style.radius);
 //! subject.add(&position);
 //! let camera = Camera::fit(&subject, &View::default())?;
-//! let frame = Frame { position: &position, values: Values::Scalar(&speed), outside: &[] };
-//! let png: Vec<u8> = encode_png(&draw_frame(&frame, Walls::default(), &camera, &style)?)?;
+//! let frame = Frame { position: &position, values: Values::Scalar(&speed), ..Frame::default() };
+//! let png: Vec<u8> = encode_png(&draw_frame(&frame, &Stage::default(), &camera, &style)?)?;
 //! # Ok::<(), fluvia_render::Error>(())
 //! ```
 
+mod bounds;
 mod camera;
 mod color;
 mod draw;
 mod error;
 mod gif;
 mod image;
+mod layers;
+mod light;
 mod outside;
+mod paint;
 mod palette;
+mod raster;
+mod shade;
 mod sheet;
 mod splat;
+mod stage;
 mod text;
+mod tree;
+mod vector;
+mod view;
 
-pub use camera::{Camera, Subject, View};
+pub use camera::{Camera, Subject};
 pub use color::{BODY_COLORS, Curve, Rgb, Scale, heights, speeds};
-pub use draw::{Frame, Style, Values, Walls, draw_frame};
+pub use draw::{Frame, Style, Surface, Values, Walls, draw_frame};
 pub use error::Error;
 pub use gif::GifEncoder;
 pub use image::{Image, encode_png};
 pub use outside::OutsideTest;
 pub use palette::{Palette, PaletteBuilder};
 pub use sheet::{Row, Sheet, Tile, sheet};
+pub use stage::Stage;
+pub use view::View;
 
 /// The result of everything in this crate that can fail.
 pub type Result<T> = std::result::Result<T, Error>;

@@ -6,12 +6,15 @@
 use rayon::prelude::*;
 
 use crate::draw::Walls;
+use crate::tree::Tree;
 
 /// Tells which particles are outside walls that do not move; made once for all frames.
 #[derive(Clone, Debug)]
 pub struct OutsideTest {
-    /// A k-d tree (see [`build`]).
-    points: Vec<WallPoint>,
+    tree: Tree,
+    position: Vec<[f32; 3]>,
+    /// Zeros without normals: then no particle is behind a point.
+    normal: Vec<[f32; 3]>,
     /// The box around the walls, grown by a radius, metres.
     low: [f32; 3],
     high: [f32; 3],
@@ -23,20 +26,14 @@ impl OutsideTest {
     /// normals only the box counts.
     pub fn new(walls: Walls<'_>, radius: f32) -> OutsideTest {
         let with_normals = walls.normal.len() == walls.position.len();
-        let mut points: Vec<WallPoint> = (0..walls.position.len())
-            .filter(|&i| finite(&walls.position[i]))
-            .map(|i| WallPoint {
-                position: walls.position[i],
-                normal: if with_normals { walls.normal[i] } else { [0.0; 3] },
-            })
-            .collect();
+        let normal = if with_normals { walls.normal.to_vec() } else { vec![[0.0; 3]; walls.position.len()] };
         let (mut low, mut high) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
-        for point in &points {
-            low = std::array::from_fn(|k| low[k].min(point.position[k] - radius));
-            high = std::array::from_fn(|k| high[k].max(point.position[k] + radius));
+        for point in walls.position.iter().filter(|point| finite(point)) {
+            low = std::array::from_fn(|k| low[k].min(point[k] - radius));
+            high = std::array::from_fn(|k| high[k].max(point[k] + radius));
         }
-        build(&mut points, 0);
-        OutsideTest { points, low, high, radius }
+        let tree = Tree::new(walls.position);
+        OutsideTest { tree, position: walls.position.to_vec(), normal, low, high, radius }
     }
 
     /// Marks the particles that are outside, those that are not finite among them.
@@ -45,19 +42,17 @@ impl OutsideTest {
     }
 
     fn is_outside(&self, p: &[f32; 3]) -> bool {
-        if !finite(p) || self.points.is_empty() {
+        if !finite(p) || self.tree.is_empty() {
             return !finite(p);
         }
         if (0..3).any(|k| p[k] < self.low[k] || p[k] > self.high[k]) {
             return true;
         }
-        let mut nearest = f32::INFINITY;
-        visit(&self.points, 0, p, &mut nearest, &mut |_, squared, limit| *limit = limit.min(squared));
         // Wall points are about a particle radius apart: at an edge the closest may belong to either side.
-        let mut limit = (nearest.sqrt() + self.radius).powi(2);
+        let limit = (self.tree.nearest(p).sqrt() + self.radius).powi(2);
         let mut behind_all = true;
-        visit(&self.points, 0, p, &mut limit, &mut |wall, _, limit| {
-            let height: f32 = (0..3).map(|k| (p[k] - wall.position[k]) * wall.normal[k]).sum();
+        self.tree.visit(p, limit, |wall, _, limit| {
+            let height: f32 = (0..3).map(|k| (p[k] - self.position[wall][k]) * self.normal[wall][k]).sum();
             if height >= -self.radius {
                 // One is enough: nothing is nearer than this.
                 (behind_all, *limit) = (false, -1.0);
@@ -69,56 +64,6 @@ impl OutsideTest {
 
 fn finite(point: &[f32; 3]) -> bool {
     point.iter().all(|x| x.is_finite())
-}
-
-#[derive(Clone, Copy, Debug)]
-struct WallPoint {
-    position: [f32; 3],
-    normal: [f32; 3],
-}
-
-/// Points in a leaf of the tree, which are simply tried.
-const LEAF: usize = 16;
-
-/// Sorts `points` into a k-d tree: the median along `axis` in the middle, the smaller before it.
-fn build(points: &mut [WallPoint], axis: usize) {
-    if points.len() <= LEAF {
-        return;
-    }
-    let middle = points.len() / 2;
-    points.select_nth_unstable_by(middle, |a, b| a.position[axis].total_cmp(&b.position[axis]));
-    let (before, after) = points.split_at_mut(middle);
-    build(before, (axis + 1) % 3);
-    build(&mut after[1..], (axis + 1) % 3);
-}
-
-/// Calls `found` with each point whose squared distance from `p` is at most `limit`, which `found` may lower.
-fn visit(
-    points: &[WallPoint],
-    axis: usize,
-    p: &[f32; 3],
-    limit: &mut f32,
-    found: &mut impl FnMut(&WallPoint, f32, &mut f32),
-) {
-    let mut try_point = |wall: &WallPoint, limit: &mut f32| {
-        let squared = (0..3).map(|k| (p[k] - wall.position[k]).powi(2)).sum::<f32>();
-        if squared <= *limit {
-            found(wall, squared, limit);
-        }
-    };
-    if points.len() <= LEAF {
-        points.iter().for_each(|wall| try_point(wall, limit));
-        return;
-    }
-    let middle = points.len() / 2;
-    try_point(&points[middle], limit);
-    let offset = p[axis] - points[middle].position[axis];
-    let (before, after) = (&points[..middle], &points[middle + 1..]);
-    let (near, far) = if offset < 0.0 { (before, after) } else { (after, before) };
-    visit(near, (axis + 1) % 3, p, limit, found);
-    if offset * offset <= *limit {
-        visit(far, (axis + 1) % 3, p, limit, found);
-    }
 }
 
 #[cfg(test)]
@@ -177,23 +122,5 @@ mod tests {
     fn without_walls_only_what_is_not_finite_is_outside() {
         let particles = [[1e6, 0.0, 0.0], [0.0, 0.0, f32::NAN]];
         assert_eq!(OutsideTest::new(Walls::default(), 0.025).mark(&particles), [false, true]);
-    }
-
-    #[test]
-    fn the_tree_finds_the_nearest_point() {
-        let (position, _) = tank();
-        let mut points: Vec<_> =
-            position.iter().map(|&position| WallPoint { position, normal: [0.0; 3] }).collect();
-        build(&mut points, 0);
-        for i in 0..200 {
-            let p = [0.37, 0.61, 0.83].map(|step: f32| (step * i as f32).fract() * 1.4 - 0.2);
-            let mut found = f32::INFINITY;
-            visit(&points, 0, &p, &mut found, &mut |_, squared, limit| *limit = limit.min(squared));
-            let expected = position
-                .iter()
-                .map(|w| (0..3).map(|k| (p[k] - w[k]).powi(2)).sum::<f32>())
-                .fold(f32::INFINITY, f32::min);
-            assert_eq!(found, expected);
-        }
     }
 }

@@ -3,8 +3,9 @@
 
 use crate::camera::Camera;
 use crate::color::{OUTSIDE, PAGE, QUIET, Ramp, Rgb, Scale, TEXT, TILE, body_color};
-use crate::draw::{Frame, Style, Values, Walls, draw_frame};
+use crate::draw::{Frame, Style, Values, draw_frame};
 use crate::image::Image;
+use crate::stage::Stage;
 use crate::text::{Anchor, Pen};
 use crate::{Error, Result};
 
@@ -13,19 +14,19 @@ use crate::{Error, Result};
 pub struct Tile<'a> {
     /// What it shows.
     pub frame: Frame<'a>,
+    /// The walls of its scene; `None`: none.
+    pub stage: Option<&'a Stage>,
     /// At its upper left: "frame 20". The number of particles outside or not finite is added.
     pub label: String,
     /// At its upper right, quieter: "0.40 s". Left out where there is no room.
     pub note: String,
 }
 
-/// Tiles side by side, all of one scene.
+/// Tiles side by side.
 #[derive(Clone, Debug, Default)]
 pub struct Row<'a> {
     /// Above the tiles; empty: no line is kept for it.
     pub label: String,
-    /// The walls of the scene.
-    pub walls: Walls<'a>,
     /// From left to right.
     pub tiles: Vec<Tile<'a>>,
 }
@@ -56,6 +57,7 @@ pub fn sheet(sheet: &Sheet<'_>, camera: &Camera, style: &Style) -> Result<Image>
     let title = pen.fit(&sheet.title, layout.large, layout.width as f32 - layout.pad as f32 * 4.0);
     pen.write(&mut page, (2.0 * layout.pad as f32, baseline), Anchor::Left, layout.large, TEXT, &title);
 
+    let none = Stage::default();
     let mut top = layout.head;
     for row in &sheet.rows {
         if !row.label.is_empty() {
@@ -76,7 +78,11 @@ pub fn sheet(sheet: &Sheet<'_>, camera: &Camera, style: &Style) -> Result<Image>
             let (x, y) = (i64::from(left), i64::from(top));
             let tall = i64::from(layout.strip + camera.height());
             page.fill(x, y, i64::from(camera.width()), tall, TILE);
-            page.paste(&draw_frame(&tile.frame, row.walls, camera, style)?, left, top + layout.strip);
+            page.paste(
+                &draw_frame(&tile.frame, tile.stage.unwrap_or(&none), camera, style)?,
+                left,
+                top + layout.strip,
+            );
             label_tile(&mut page, &pen, &layout, tile, (left, top), camera.width());
         }
         top += layout.strip + camera.height() + layout.pad;
@@ -180,14 +186,19 @@ impl Layout {
 }
 
 fn legend(sheet: &Sheet<'_>, style: &Style) -> Legend {
-    let mut values = sheet.rows.iter().flat_map(|row| &row.tiles).map(|tile| tile.frame.values);
+    let mut values = sheet
+        .rows
+        .iter()
+        .flat_map(|row| &row.tiles)
+        .map(|tile| tile.frame.surface.map_or(tile.frame.values, |surface| surface.values));
     let first = values.clone().find(|values| !matches!(values, Values::None));
     match first {
-        None | Some(Values::None | Values::Color(_)) => Legend::None,
         Some(Values::Scalar(_)) => Legend::Scale,
-        Some(Values::Body(_)) if !style.bodies.is_empty() => {
+        // The colours of a surface may be those of bodies that run into each other.
+        Some(Values::Body(_) | Values::Color(_)) if !style.bodies.is_empty() => {
             Legend::Bodies(style.bodies.iter().take(LEGEND_BODIES).cloned().collect())
         }
+        None | Some(Values::None | Values::Color(_)) => Legend::None,
         Some(Values::Body(_)) => {
             let largest = |values| match values {
                 Values::Body(bodies) => bodies.iter().max().map_or(0, |&body| body as usize + 1),
@@ -317,7 +328,7 @@ mod tests {
     #[test]
     fn the_legend_names_the_bodies_that_are_there() {
         let position = [[0.0; 3]; 3];
-        let frame = Frame { position: &position, values: Values::Body(&[0, 2, 1]), outside: &[] };
+        let frame = Frame { position: &position, values: Values::Body(&[0, 2, 1]), ..Frame::default() };
         let tiles = vec![Tile { frame, ..Tile::default() }];
         let page = Sheet { title: String::new(), rows: vec![Row { tiles, ..Row::default() }] };
         let Legend::Bodies(names) = legend(&page, &Style::default()) else { panic!("expected bodies") };

@@ -14,6 +14,7 @@
 //! threads end, the order of vertices and triangles, is made one again.
 
 use anyhow::{Result, anyhow, bail};
+use fluvia_neighbors::{Grid, Neighbors, Options, Radius};
 use fluvia_sim::mesh::{Surface, TriangleMesh};
 use splashsurf_lib::mesh::{Mesh3d, TriMesh3d};
 use splashsurf_lib::nalgebra::Vector3;
@@ -25,25 +26,31 @@ use splashsurf_lib::{Parameters, SurfaceReconstruction, postprocessing};
 #[command(next_help_heading = "Surface")]
 pub struct Params {
     /// The smoothing length of the density, particle radii: a particle counts up to twice as far away.
-    #[arg(long, value_name = "RADII", default_value_t = 2.0, value_parser = factor)]
+    #[arg(long, value_name = "RADII", default_value_t = Params::default().smoothing_length, value_parser = factor)]
     pub smoothing_length: f32,
     /// The side of the cubes that the surface is cut with, particle radii; half of it takes four times as many
     /// triangles.
-    #[arg(long, value_name = "RADII", default_value_t = 0.5, value_parser = factor)]
+    #[arg(long, value_name = "RADII", default_value_t = Params::default().cube_size, value_parser = factor)]
     pub cube_size: f32,
     /// The density of the surface, parts of the density at rest.
-    #[arg(long, value_name = "PART", default_value_t = 0.6, value_parser = threshold)]
+    #[arg(long, value_name = "PART", default_value_t = Params::default().threshold, value_parser = threshold)]
     pub threshold: f32,
     /// Iterations that smooth the surface; 0 leaves the particles' bumps.
-    #[arg(long, value_name = "N", default_value_t = 25, value_parser = clap::value_parser!(u16).range(0..=1000))]
+    #[arg(long, value_name = "N", default_value_t = Params::default().smoothing, value_parser = clap::value_parser!(u16).range(0..=1000))]
     pub smoothing: u16,
     /// Iterations that smooth the normals.
-    #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u16).range(0..=1000))]
+    #[arg(long, value_name = "N", default_value_t = Params::default().normal_smoothing, value_parser = clap::value_parser!(u16).range(0..=1000))]
     pub normal_smoothing: u16,
 }
 
+impl Default for Params {
+    fn default() -> Params {
+        Params { smoothing_length: 2.0, cube_size: 0.5, threshold: 0.6, smoothing: 25, normal_smoothing: 10 }
+    }
+}
+
 /// Parses a length in particle radii. Outside of these there is no surface, or no end to its triangles.
-fn factor(text: &str) -> Result<f32, String> {
+pub fn factor(text: &str) -> Result<f32, String> {
     let number = text.parse().ok().filter(|x| (0.1..=10.0).contains(x));
     number.ok_or_else(|| "expected a number of particle radii from 0.1 to 10".into())
 }
@@ -117,6 +124,75 @@ pub fn reconstruct(
     let normal = normal.into_iter().map(Into::into).collect();
     Ok(Surface { mesh: TriangleMesh { positions, triangles }, normal, velocity })
 }
+
+/// For each point of the surface of `position` the particles nearby, with their weights, which add up to 1.
+pub fn shares(points: &[[f32; 3]], position: &[[f32; 3]], radius: f32) -> Vec<Vec<(usize, f32)>> {
+    let (mut grid, mut neighbors) = (Grid::new(), Neighbors::default());
+    let (near, options) = (NEAR * radius, Options { distances: true, ..Options::default() });
+    grid.build(position, near);
+    grid.search(points, Radius::Uniform(near), &options, &mut neighbors);
+    let shares = |q: usize| {
+        let row = neighbors.row_splits[q]..neighbors.row_splits[q + 1];
+        let weight = |squared: f32| (1.0 - squared / (near * near)).powi(4);
+        let weights = neighbors.distances[row.clone()].iter().map(|&squared| weight(squared));
+        let sum: f32 = weights.clone().sum();
+        neighbors.indices[row].iter().zip(weights).map(|(&i, w)| (i as usize, w / sum)).collect()
+    };
+    (0..points.len()).map(shares).collect()
+}
+
+/// How far from its particles a surface lies at most, particle radii; with room.
+const NEAR: f32 = 4.0;
+
+/// Draws a surface out to the walls that it is near to, as a liquid wets the glass that it stands in: particles rest
+/// more than a radius before a wall, and the surface around them with them. `normal` points into the liquid.
+pub fn to_walls(surface: &mut Surface, position: &[[f32; 3]], normal: &[[f32; 3]], radius: f32) {
+    let (mut grid, mut neighbors) = (Grid::new(), Neighbors::default());
+    let [gap, reach] = WALL.map(|radii| radii * radius);
+    let far = reach.hypot(WALL_BESIDE * radius);
+    grid.build(position, far);
+    grid.search(&surface.mesh.positions, Radius::Uniform(far), &Options::default(), &mut neighbors);
+    let moved = |q: usize| {
+        let mut vertex = surface.mesh.positions[q];
+        // Of each wall the point that lies straightest below.
+        let mut planes: Vec<(f32, usize)> = Vec::new();
+        for &wall in neighbors.row(q) {
+            let (x, n) = (position[wall as usize], normal[wall as usize]);
+            let way: [f32; 3] = std::array::from_fn(|k| vertex[k] - x[k]);
+            let height: f32 = (0..3).map(|k| way[k] * n[k]).sum();
+            let beside = way.iter().map(|x| x * x).sum::<f32>() - height * height;
+            if height > reach || beside > (WALL_BESIDE * radius).powi(2) {
+                continue;
+            }
+            let cosine = |other: usize| (0..3).map(|k| normal[other][k] * n[k]).sum::<f32>();
+            match planes.iter_mut().find(|(_, other)| cosine(*other) > SAME_WALL) {
+                Some(found) if (beside, wall as usize) < *found => *found = (beside, wall as usize),
+                Some(_) => {}
+                None => planes.push((beside, wall as usize)),
+            }
+        }
+        for (_, wall) in planes {
+            let (x, n) = (position[wall], normal[wall]);
+            let height: f32 = (0..3).map(|k| (vertex[k] - x[k]) * n[k]).sum();
+            let wanted = ((height - gap) * reach / (reach - gap)).max(0.0);
+            // The side that faces the wall alone: what moved as a whole would be flat.
+            let facing = -(0..3).map(|k| surface.normal[q][k] * n[k]).sum::<f32>();
+            let part = (facing / FACING).clamp(0.0, 1.0);
+            vertex = std::array::from_fn(|k| vertex[k] + n[k] * part * (wanted - height));
+        }
+        vertex
+    };
+    surface.mesh.positions = (0..surface.mesh.positions.len()).map(moved).collect();
+}
+
+/// How far before a wall the surface of what rests there is at most, and up to where it is drawn out for it, particle radii.
+const WALL: [f32; 2] = [1.35, 3.6];
+/// How far beside a vertex the points of a wall below it may lie, particle radii.
+const WALL_BESIDE: f32 = 1.6;
+/// The cosine from which on a normal faces a wall.
+const FACING: f32 = 0.6;
+/// The cosine from which on two wall points belong to one wall.
+const SAME_WALL: f32 = 0.7;
 
 fn check(position: &[[f32; 3]], radius: f32, params: &Params) -> Result<()> {
     let (mut low, mut high) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
@@ -199,7 +275,7 @@ mod tests {
     const RADIUS: f32 = 0.025;
 
     fn params() -> Params {
-        Params { smoothing_length: 2.0, cube_size: 0.5, threshold: 0.6, smoothing: 25, normal_smoothing: 10 }
+        Params::default()
     }
 
     /// A block of particles at rest, `side` on each side.

@@ -23,6 +23,67 @@ pub fn write_atomically(path: &Path, content: impl FnOnce(&mut dyn Write) -> io:
     write_to(path, content).map_err(Error::io(path))
 }
 
+/// A file that another program writes: under a temporary name, until it is whole.
+#[derive(Debug)]
+pub struct Replacement {
+    target: PathBuf,
+    /// `None` once it has its name.
+    temporary: Option<PathBuf>,
+}
+
+impl Replacement {
+    /// Makes an empty file under a temporary name beside `path`.
+    ///
+    /// # Errors
+    /// `Io` if none can be written there, or if `path` is a directory or no regular file.
+    pub fn begin(path: &Path) -> Result<Replacement> {
+        // A link stays a link: what it names is replaced.
+        let target = fs::canonicalize(path).unwrap_or_else(|_| path.to_path_buf());
+        let refused = match fs::metadata(&target) {
+            Ok(data) if data.is_dir() => Some(io::ErrorKind::IsADirectory),
+            Ok(data) if !data.is_file() => Some(io::ErrorKind::Unsupported),
+            _ => None,
+        };
+        if let Some(kind) = refused {
+            return Err(Error::io(path)(kind.into()));
+        }
+        let temporary = temporary_name(&target).map_err(Error::io(path))?;
+        File::create(&temporary).map_err(Error::io(path))?;
+        Ok(Replacement { target, temporary: Some(temporary) })
+    }
+
+    /// Where the file is to be written.
+    pub fn temporary(&self) -> &Path {
+        self.temporary.as_deref().unwrap_or(&self.target)
+    }
+
+    /// The name that it will have.
+    pub fn target(&self) -> &Path {
+        &self.target
+    }
+
+    /// Gives the file its name; without that it is removed.
+    ///
+    /// # Errors
+    /// `Io`.
+    pub fn commit(mut self) -> Result<()> {
+        if let Some(temporary) = &self.temporary {
+            fs::rename(temporary, &self.target).map_err(Error::io(&self.target))?;
+            self.temporary = None;
+        }
+        Ok(())
+    }
+}
+
+impl Drop for Replacement {
+    fn drop(&mut self) {
+        if let Some(temporary) = &self.temporary {
+            // What cannot be removed now stays.
+            let _ = fs::remove_file(temporary);
+        }
+    }
+}
+
 /// Writes a text, atomically.
 ///
 /// # Errors
@@ -148,6 +209,25 @@ mod tests {
         assert_eq!(fs::read(&file).unwrap(), b"new");
         write_atomically(Path::new("/dev/null"), |out| out.write_all(b"new")).unwrap();
         assert!(!fs::metadata("/dev/null").unwrap().is_file());
+    }
+
+    #[test]
+    fn what_another_program_writes_has_its_name_when_it_is_whole() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("film.mp4");
+        fs::write(&path, "old").unwrap();
+        let half = Replacement::begin(&path).unwrap();
+        fs::write(half.temporary(), "half").unwrap();
+        drop(half);
+        assert_eq!(fs::read(&path).unwrap(), b"old");
+        let whole = Replacement::begin(&path).unwrap();
+        assert_ne!(whole.temporary(), path);
+        fs::write(whole.temporary(), "new").unwrap();
+        whole.commit().unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"new");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+        assert!(Replacement::begin(folder.path()).is_err());
+        assert!(Replacement::begin(&folder.path().join("none/film.mp4")).is_err());
     }
 
     #[test]

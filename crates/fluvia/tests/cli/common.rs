@@ -45,7 +45,16 @@ impl Folder {
     }
 
     pub fn run(&self, arguments: &str) -> Run {
-        Run::new(arguments, self.command(arguments).output().expect("the program starts"))
+        self.run_with_path(arguments, None)
+    }
+
+    /// The same where programs are looked for in a folder of this one.
+    pub fn run_with_path(&self, arguments: &str, path: Option<&str>) -> Run {
+        let mut command = self.command(arguments);
+        if let Some(path) = path {
+            command.env("PATH", self.path(path));
+        }
+        Run::new(arguments, command.output().expect("the program starts"))
     }
 
     /// Runs what must succeed.
@@ -58,9 +67,14 @@ impl Folder {
     /// Runs what has begun with `file` when Ctrl-C comes, and must then stop by itself.
     #[cfg(unix)]
     pub fn interrupt(&self, arguments: &str, file: &str) -> Run {
+        self.interrupt_command(self.command(arguments), arguments, file)
+    }
+
+    /// The same of a command with an environment of its own.
+    #[cfg(unix)]
+    pub fn interrupt_command(&self, mut command: Command, arguments: &str, file: &str) -> Run {
         use std::process::Stdio;
         use std::time::{Duration, Instant};
-        let mut command = self.command(arguments);
         let child =
             command.stderr(Stdio::piped()).stdout(Stdio::piped()).spawn().expect("the program starts");
         let start = Instant::now();
@@ -156,6 +170,14 @@ impl Run {
         let line = self.stdout.lines().last().expect("a line of output");
         serde_json::from_str(line).unwrap_or_else(|error| panic!("{error}: {line}"))
     }
+}
+
+/// The text of a point cloud.
+pub fn cloud(points: &[impl std::fmt::Display]) -> String {
+    let count = points.len();
+    let properties = "property float x\nproperty float y\nproperty float z\n";
+    let points: String = points.iter().map(|point| format!("{point}\n")).collect();
+    format!("ply\nformat ascii 1.0\nelement vertex {count}\n{properties}end_header\n{points}")
 }
 
 /// A block of 64 particles above the floor of a small container.

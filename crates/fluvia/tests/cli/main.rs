@@ -6,6 +6,7 @@ mod evaluate;
 mod faults;
 mod generate;
 mod mesh;
+mod render;
 mod sequences;
 mod simulate;
 mod tools;

@@ -1,20 +1,11 @@
 //! `fluvia mesh`: surfaces of runs and sequences, what they are not made of, and what is left of an interrupted one.
 
-use std::fmt::Display;
 use std::path::Path;
 
 use fluvia_sim::frames;
 use fluvia_sim::mesh::TriangleMesh;
 
-use crate::common::{Folder, SCENE, sequence};
-
-/// The text of a point cloud.
-fn cloud(points: &[impl Display]) -> String {
-    let count = points.len();
-    let properties = "property float x\nproperty float y\nproperty float z\n";
-    let points: String = points.iter().map(|point| format!("{point}\n")).collect();
-    format!("ply\nformat ascii 1.0\nelement vertex {count}\n{properties}end_header\n{points}")
-}
+use crate::common::{Folder, SCENE, cloud, sequence};
 
 /// A folder with a short run in `run`.
 fn with_run() -> Folder {

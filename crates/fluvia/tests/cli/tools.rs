@@ -1,4 +1,4 @@
-//! The commands beside `simulate`: render, inspect, convert, bench, completions.
+//! The commands beside `simulate`: inspect, convert, bench, completions.
 
 use std::process::Stdio;
 
@@ -10,46 +10,6 @@ fn with_run() -> Folder {
     folder.write("scene.json", SCENE);
     folder.succeed("simulate scene.json --solver pbf --steps 6 --out out --format npz,vtu");
     folder
-}
-
-#[test]
-fn pictures_sheets_and_films() {
-    let folder = with_run();
-    let size = |name: &str| {
-        let bytes = std::fs::read(folder.path(name)).unwrap();
-        assert_eq!(&bytes[1..4], b"PNG", "{name}");
-        let number = |at: usize| u32::from_be_bytes(bytes[at..at + 4].try_into().unwrap());
-        (number(16), number(20))
-    };
-    folder.succeed("render out -o last.png --size 200");
-    folder.succeed("render out -o third.png --size 200 --frame 3 --color height");
-    assert_eq!(size("last.png").0, size("third.png").0);
-    assert_ne!(
-        std::fs::read(folder.path("last.png")).unwrap(),
-        std::fs::read(folder.path("third.png")).unwrap()
-    );
-    folder.succeed("render out -o sheet.png --size 100 --sheet 3x2");
-    folder.succeed("render A=out B=out -o two.png --size 100 --frames 0,3,6 --color body");
-    assert!(size("sheet.png").0 > 300 && size("two.png").0 > 300);
-    folder.succeed("render out -o film.gif --size 120 --every 2 --top -0.1");
-    // 2 hundredths of a second from frame to frame.
-    assert_eq!(delays(&folder, "film.gif"), [4, 4, 4, 4]);
-    folder.succeed("render out -o gaps.gif --size 120 --frames 0,1,6");
-    assert_eq!(delays(&folder, "gaps.gif"), [2, 10, 10]);
-    // The same frames give the same picture.
-    folder.succeed("render out -o again.png --size 200");
-    assert_eq!(
-        std::fs::read(folder.path("last.png")).unwrap(),
-        std::fs::read(folder.path("again.png")).unwrap()
-    );
-}
-
-/// The delays of a GIF's images, hundredths of a second: in the graphic control extensions.
-fn delays(folder: &Folder, name: &str) -> Vec<u16> {
-    let bytes = std::fs::read(folder.path(name)).expect("a film");
-    assert_eq!(&bytes[..6], b"GIF89a");
-    let blocks = bytes.windows(8).filter(|block| block[..3] == [0x21, 0xf9, 4] && block[7] == 0);
-    blocks.map(|block| u16::from_le_bytes([block[4], block[5]])).collect()
 }
 
 #[test]
@@ -65,31 +25,6 @@ fn a_damaged_mesh_is_no_particle_file() {
     assert!(run.stderr.contains("mesh.ply") && run.stderr.contains('9'), "{}", run.stderr);
     folder.write("points.ply", format!("{header}end_header\n{points}"));
     assert_eq!(folder.succeed("inspect points.ply --json").last_json()["particles"], 3);
-}
-
-#[test]
-fn what_cannot_be_drawn() {
-    let folder = with_run();
-    for (arguments, words) in [
-        ("render out -o a.jpg", ["a.jpg", ".png"]),
-        ("render out -o a.png --frame 7", ["frame 7", "0 to 6"]),
-        ("render nothing -o a.png", ["nothing", "No such file"]),
-        ("render . -o a.png", [".", "no frames"]),
-        ("render out -o none/a.png", ["none", "No such file"]),
-        ("render out out -o a.gif", ["a.gif", "one directory"]),
-        ("render out -o a.png --every 2", ["--every", ".gif"]),
-        ("render out -o a.png --color body --max-speed 3", ["--max-speed", "--color speed"]),
-        ("render out -o a.png --frames 0 --sheet 3x3", ["1 frames", "9 places"]),
-        ("render out out -o a.png --sheet 3x3", ["3 rows", "2 directories"]),
-    ] {
-        let run = folder.run(arguments);
-        assert_eq!(run.code, Some(1), "{arguments}: {}", run.stderr);
-        assert_eq!(run.stderr.lines().count(), 1, "{}", run.stderr);
-        for word in words {
-            assert!(run.stderr.contains(word), "{arguments}: {}", run.stderr);
-        }
-        assert!(!folder.path("a.png").exists() && !folder.path("a.gif").exists());
-    }
 }
 
 #[test]

@@ -1,0 +1,383 @@
+//! The walls as a surface: every wall point becomes a small polygon, its share of the wall.
+//!
+//! The points lie about a particle radius apart on surfaces that are not known otherwise. In the plane through a point
+//! across its normal, its cell is what is nearer to it than to the points beside it (Voronoi), so that on a flat wall the cells
+//! join without gap or overlap. At edges the cell ends where the wall on the other side of the edge begins:
+//!
+//! ```text
+//! n_i·n_j near 1            beside it        keep p with (p - (x_i + x_j) / 2)·(x_j - x_i) <= 0
+//! else, n_i·(x_j - x_i) > 0  an inner edge    keep p with n_j·(p - x_j) >= 0
+//! else                       an outer edge    keep p with n_j·(p - x_j) <= 0
+//! ```
+
+use rayon::prelude::*;
+
+use crate::draw::Walls;
+use crate::tree::Tree;
+use crate::vector::{Vec3, across, add, dot, scaled, sub, unit};
+
+/// Walls that are ready to be drawn; made once for all frames.
+#[derive(Clone, Debug, Default)]
+pub struct Stage {
+    /// Points with normals, metres, and their normals.
+    pub(crate) position: Vec<Vec3>,
+    pub(crate) normal: Vec<Vec3>,
+    /// How much of the sky each point sees past the walls beside it, 0 to 1.
+    pub(crate) corner: Vec<f32>,
+    /// The points of the same wall around each, with their weights, from `around_starts` of one to that of the next.
+    around: Vec<(u32, f32)>,
+    around_starts: Vec<usize>,
+    /// How far apart the points of the wall around each are, metres.
+    pub(crate) spacing: Vec<f32>,
+    /// Corners of all cells: the place, and the points whose properties count there, equally; [`NONE`] where there are
+    /// fewer.
+    pub(crate) vertices: Vec<(Vec3, [u32; 3])>,
+    pub(crate) triangles: Vec<[u32; 3]>,
+    /// The point whose cell a triangle is in.
+    pub(crate) cell: Vec<u32>,
+    /// Points without a normal, which are drawn as dots.
+    pub(crate) bare: Vec<Vec3>,
+}
+
+/// The circumradius of a cell that nothing limits, in spacings: as far as the largest hole between points reaches.
+const REACH: f32 = 1.9;
+/// Corners of such a cell.
+const SIDES: usize = 8;
+/// How far from a point those that limit its cell may be, in spacings.
+const NEIGHBORS: f32 = 3.0;
+/// The cosine up to which normals belong to one surface, flat or round: 35 degrees.
+const SAME: f32 = 0.82;
+/// How far along another wall a point of it may be, in spacings, to limit a cell: so far is one at least.
+const BESIDE: f32 = 1.9;
+/// Points nearer than this to another wall, in spacings, may lie on the edge with it.
+const ON_EDGE: f32 = 0.1;
+/// How far behind it, in spacings, points of the limited wall may lie all the same: walls may be round.
+const BEHIND: f32 = 0.3;
+/// How far beyond the line between two points a cell reaches, in parts of their distance: round walls have no cracks then.
+const OVERLAP: f32 = 0.02;
+/// The points around one that tell the spacing, ...
+const SPACING_NEIGHBORS: usize = 6;
+/// ... and the part of the distance of the last of them that the nearest is usually away.
+const SPACING_PART: f32 = 0.68;
+/// The most points that limit a cell: the nearest.
+const MOST_NEIGHBORS: usize = 64;
+/// How far around a point the light of a wall is averaged, in spacings.
+const AROUND: f32 = 4.0;
+/// How far walls darken each other at their edges, in spacings.
+const CORNER_REACH: f32 = 7.0;
+/// How dark the inner edge between two walls is.
+const CORNER_DEPTH: f32 = 0.55;
+
+impl Stage {
+    /// The walls of a scene. Points that are not finite are left out; those without a normal become dots.
+    pub fn new(walls: Walls<'_>) -> Stage {
+        let (mut stage, mut box_of) = (Stage::default(), [[f32::INFINITY; 3], [f32::NEG_INFINITY; 3]]);
+        for (i, &position) in walls.position.iter().enumerate() {
+            if !position.iter().all(|x| x.is_finite()) {
+                continue;
+            }
+            let normal = walls.normal.get(i).map_or([0.0; 3], |&normal| unit(normal));
+            if normal == [0.0; 3] {
+                stage.bare.push(position);
+                continue;
+            }
+            stage.position.push(position);
+            stage.normal.push(normal);
+            box_of[0] = std::array::from_fn(|k| box_of[0][k].min(position[k]));
+            box_of[1] = std::array::from_fn(|k| box_of[1][k].max(position[k]));
+        }
+        let tree = Tree::new(&stage.position);
+        let places = 0..stage.position.len();
+        stage.spacing = places.clone().into_par_iter().map(|i| spacing(&stage, &tree, i)).collect();
+        let cells: Vec<Vec<Corner>> =
+            places.clone().into_par_iter().map(|i| cell(&stage, &tree, box_of, i)).collect();
+        stage.corner = places.clone().into_par_iter().map(|i| corner(&stage, &tree, i)).collect();
+        stage.around_starts.push(0);
+        for around in places.into_par_iter().map(|i| around(&stage, &tree, i)).collect::<Vec<_>>() {
+            stage.around.extend(around);
+            stage.around_starts.push(stage.around.len());
+        }
+        for (i, cell) in cells.iter().enumerate().filter(|(_, cell)| cell.len() >= 3) {
+            let (i, first) = (i as u32, stage.vertices.len() as u32);
+            stage.vertices.push((stage.position[i as usize], [i, NONE, NONE]));
+            let of = |corner: &Corner| [i, corner.before.unwrap_or(NONE), corner.after.unwrap_or(NONE)];
+            stage.vertices.extend(cell.iter().map(|corner| (corner.place, of(corner))));
+            for k in 0..cell.len() as u32 {
+                stage.triangles.push([first, first + 1 + k, first + 1 + (k + 1) % cell.len() as u32]);
+                stage.cell.push(i);
+            }
+        }
+        stage
+    }
+
+    /// Whether two points belong to one wall, by their normals.
+    fn is_same(&self, i: usize, j: usize) -> bool {
+        dot(self.normal[i], self.normal[j]) > SAME
+    }
+
+    /// A property of the points, averaged over the wall around each.
+    pub(crate) fn smoothed(&self, values: &[f32]) -> Vec<f32> {
+        let smooth = |i: usize| {
+            let around = &self.around[self.around_starts[i]..self.around_starts[i + 1]];
+            around.iter().map(|&(j, weight)| weight * values[j as usize]).sum()
+        };
+        (0..values.len()).into_par_iter().map(smooth).collect()
+    }
+
+    /// A property of the points at a vertex of a cell.
+    pub(crate) fn at_vertex<const N: usize>(
+        &self,
+        vertex: usize,
+        of: impl Fn(usize) -> [f32; N],
+    ) -> [f32; N] {
+        let points = self.vertices[vertex].1;
+        let (mut sum, mut count) = ([0.0; N], 0.0);
+        for &point in points.iter().filter(|point| **point != NONE) {
+            let value = of(point as usize);
+            (0..N).for_each(|k| sum[k] += value[k]);
+            count += 1.0;
+        }
+        sum.map(|x| x / count)
+    }
+}
+
+/// No point.
+const NONE: u32 = u32::MAX;
+
+/// A corner of a cell, and the points on the other side of the edges that end and begin there; none where the cell ends
+/// at another wall.
+#[derive(Clone, Copy)]
+struct Corner {
+    place: Vec3,
+    before: Option<u32>,
+    after: Option<u32>,
+}
+
+/// How far apart the points around a point are, of those with its normal; 0 if there are none.
+fn spacing(stage: &Stage, tree: &Tree, i: usize) -> f32 {
+    let mut nearest = [f32::INFINITY; SPACING_NEIGHBORS];
+    tree.visit(&stage.position[i], f32::INFINITY, |j, squared, limit| {
+        if squared > 0.0 && squared < nearest[SPACING_NEIGHBORS - 1] && stage.is_same(i, j) {
+            let place = nearest.partition_point(|&other| other <= squared);
+            nearest[place..].rotate_right(1);
+            nearest[place] = squared;
+            *limit = nearest[SPACING_NEIGHBORS - 1];
+        }
+    });
+    let last = nearest.iter().rfind(|squared| squared.is_finite()).copied().unwrap_or(0.0);
+    SPACING_PART * last.sqrt()
+}
+
+/// The polygon of a point.
+fn cell(stage: &Stage, tree: &Tree, [low, high]: [Vec3; 2], i: usize) -> Vec<Corner> {
+    let (x, n, spacing) = (stage.position[i], stage.normal[i], stage.spacing[i]);
+    if spacing == 0.0 {
+        return Vec::new();
+    }
+    let [right, up] = across(n);
+    let mut polygon: Vec<Corner> = (0..SIDES)
+        .map(|k| {
+            let (sine, cosine) = (std::f32::consts::TAU * k as f32 / SIDES as f32).sin_cos();
+            let reach = REACH * spacing;
+            let place = add(x, add(scaled(right, reach * cosine), scaled(up, reach * sine)));
+            Corner { place, before: None, after: None }
+        })
+        .collect();
+    let mut near = Vec::new();
+    tree.visit(&x, (NEIGHBORS * spacing).powi(2), |j, squared, _| near.push((squared, j)));
+    near.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    near.retain(|&(squared, _)| squared > 0.0);
+    near.truncate(MOST_NEIGHBORS);
+    let is_same = |j: usize| stage.is_same(i, j);
+    for &(squared, j) in near.iter().filter(|(_, j)| is_same(*j)) {
+        let way = sub(stage.position[j], x);
+        // A wall below or above is not beside it.
+        if dot(n, way).powi(2) < 0.25 * squared {
+            let limit = (0.5 + OVERLAP) * squared;
+            clip(&mut polygon, Some(j as u32), |p| limit - dot(sub(p, x), way));
+        }
+    }
+    for &(_, j) in near.iter().filter(|(_, j)| !is_same(*j)) {
+        let (y, m) = (stage.position[j], stage.normal[j]);
+        let way = sub(y, x);
+        // The other wall must be there where its plane is: near the foot of the perpendicular.
+        let foot = sub(way, scaled(m, dot(m, way)));
+        // At an inner edge each point is before the other's wall, at an outer one behind it.
+        let (height, before) = (dot(n, way), -dot(m, way));
+        let clear = ON_EDGE * spacing;
+        let side = if height.abs() > clear { height.signum() } else { before.signum() };
+        if height.abs().max(before.abs()) <= clear {
+            continue;
+        }
+        let inside = |p: Vec3| side * dot(m, sub(p, y));
+        // And it ends where this wall goes on behind it.
+        let goes_on = |&(_, k): &(f32, usize)| is_same(k) && inside(stage.position[k]) < -BEHIND * spacing;
+        if dot(foot, foot) < (BESIDE * spacing).powi(2) && inside(x) > -clear && !near.iter().any(goes_on) {
+            clip(&mut polygon, None, inside);
+        }
+    }
+    for k in 0..3 {
+        clip(&mut polygon, None, |p| p[k] - low[k]);
+        clip(&mut polygon, None, |p| high[k] - p[k]);
+    }
+    polygon
+}
+
+/// Keeps the part of a convex polygon where `inside` is not negative; `beyond` is the point on the other side.
+fn clip(polygon: &mut Vec<Corner>, beyond: Option<u32>, inside: impl Fn(Vec3) -> f32) {
+    let values: Vec<f32> = polygon.iter().map(|corner| inside(corner.place)).collect();
+    if values.iter().all(|&value| value >= 0.0) {
+        return;
+    }
+    let mut kept = Vec::with_capacity(polygon.len() + 1);
+    for (k, corner) in polygon.iter().enumerate() {
+        let next = (k + 1) % polygon.len();
+        let (value, next_value) = (values[k], values[next]);
+        if value >= 0.0 {
+            kept.push(*corner);
+        }
+        if (value >= 0.0) != (next_value >= 0.0) {
+            let t = value / (value - next_value);
+            let way = sub(polygon[next].place, corner.place);
+            let place = add(corner.place, scaled(way, t));
+            // The edge that is cut is the one after this corner.
+            let (before, after) = if value >= 0.0 { (corner.after, beyond) } else { (beyond, corner.after) };
+            kept.push(Corner { place, before, after });
+        }
+    }
+    *polygon = kept;
+}
+
+/// The points of the same wall around a point, itself among them, and their weights, which add up to 1.
+fn around(stage: &Stage, tree: &Tree, i: usize) -> Vec<(u32, f32)> {
+    let reach = (AROUND * stage.spacing[i]).powi(2).max(f32::MIN_POSITIVE);
+    let mut near = Vec::new();
+    tree.visit(&stage.position[i], reach, |j, squared, _| {
+        if stage.is_same(i, j) {
+            near.push((j as u32, (1.0 - squared / reach).powi(2)));
+        }
+    });
+    near.sort_unstable_by_key(|&(j, _)| j);
+    let sum: f32 = near.iter().map(|&(_, weight)| weight).sum();
+    near.iter().map(|&(j, weight)| (j, weight / sum)).collect()
+}
+
+/// How much light walls beside a point leave it: each wall point in front of it that faces it takes some, by the cosines
+/// on both sides.
+fn corner(stage: &Stage, tree: &Tree, i: usize) -> f32 {
+    let (x, n) = (stage.position[i], stage.normal[i]);
+    let reach = CORNER_REACH * stage.spacing[i];
+    let mut taken = 0.0;
+    let mut add_point = |j: usize, squared: f32| {
+        let way = sub(stage.position[j], x);
+        let facing = dot(n, way).max(0.0) * (-dot(stage.normal[j], way)).max(0.0);
+        let fade = 1.0 - squared / (reach * reach);
+        if squared > 0.0 {
+            taken += facing / (squared * squared) * fade * fade;
+        }
+    };
+    let mut near = Vec::new();
+    tree.visit(&x, reach * reach, |j, squared, _| near.push((j, squared)));
+    near.sort_unstable_by_key(|&(j, _)| j);
+    near.iter().for_each(|&(j, squared)| add_point(j, squared));
+    // A point stands for about a square of the spacing; half the light comes from beyond an inner edge.
+    let part = (taken * stage.spacing[i].powi(2) / std::f32::consts::PI * 2.0).min(1.0);
+    1.0 - CORNER_DEPTH * part
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::vector::cross;
+
+    /// Points on a square of side 1 as far apart as those of sampled walls, from an origin along two axes.
+    fn square(origin: Vec3, along: [Vec3; 2]) -> Vec<Vec3> {
+        let count = 30;
+        let at = |i: usize, j: usize| {
+            // Off the lattice, as samples are, but on the rim.
+            let shift = |i: usize, j: usize| {
+                if i % count == 0 { 0.0 } else { 0.25 * ((i * 7 + j * 5) % 9) as f32 / 9.0 }
+            };
+            let part = [(i as f32 + shift(i, j)) / count as f32, (j as f32 + shift(j, i)) / count as f32];
+            add(origin, add(scaled(along[0], part[0]), scaled(along[1], part[1])))
+        };
+        (0..=count).flat_map(|i| (0..=count).map(move |j| at(i, j))).collect()
+    }
+
+    fn area(stage: &Stage, of: impl Fn(&Stage, usize) -> bool) -> f32 {
+        let cells = (0..stage.triangles.len()).filter(|&t| of(stage, stage.cell[t] as usize));
+        let areas = cells.map(|t| {
+            let [a, b, c] = stage.triangles[t].map(|v| stage.vertices[v as usize].0);
+            let normal = cross(sub(b, a), sub(c, a));
+            0.5 * dot(normal, normal).sqrt()
+        });
+        areas.sum()
+    }
+
+    #[test]
+    fn cells_share_a_flat_wall_without_gaps_and_overlaps() {
+        let position = square([0.0; 3], [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]);
+        let normal = vec![[0.0, 1.0, 0.0]; position.len()];
+        let stage = Stage::new(Walls { position: &position, normal: &normal });
+        // Each cell reaches 4 % of the distance over the middle: 8 % of the area.
+        let all = area(&stage, |_, _| true);
+        assert!((1.0..1.1).contains(&all), "{all}");
+        assert!(stage.vertices.iter().all(|(p, _)| p[1].abs() < 1e-6));
+        assert!(stage.corner.iter().all(|&open| open == 1.0));
+        // A property is the mean of those around.
+        let smoothed = stage.smoothed(&position.iter().map(|p| p[0]).collect::<Vec<_>>());
+        assert!(smoothed.iter().zip(&position).all(|(x, p)| (x - p[0]).abs() < 0.1));
+    }
+
+    #[test]
+    fn cells_end_at_inner_and_outer_edges() {
+        let (right, up, front) = ([1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]);
+        for (turn, name) in [(1.0, "inner"), (-1.0, "outer")] {
+            let mut position = square([0.0; 3], [right, front]);
+            let floor = position.len();
+            position.extend(square([0.0; 3], [scaled(up, turn), front]));
+            let mut normal = vec![up; floor];
+            // The upright wall faces the floor's side, or, hanging down, the other one.
+            normal.extend(vec![scaled(right, turn); position.len() - floor]);
+            // Rows far to the other side keep the box of all points out of it.
+            position.push([-3.0, -3.0, -3.0]);
+            normal.push(up);
+            let stage = Stage::new(Walls { position: &position, normal: &normal });
+            let cells_of_floor = |stage: &Stage, cell: usize| stage.normal[cell] == up && cell < floor;
+            let found = area(&stage, cells_of_floor);
+            let low = stage.triangles.iter().zip(&stage.cell).filter(|(_, cell)| (**cell as usize) < floor);
+            let reach = low.flat_map(|(t, _)| t.map(|v| stage.vertices[v as usize].0[0])).fold(0.0, f32::min);
+            assert!(reach > -1e-4, "{name}: {reach}");
+            assert!(found > 0.95, "{name}: {found}");
+        }
+    }
+
+    #[test]
+    fn inner_edges_are_darker_and_outer_ones_are_not() {
+        let (right, up, front) = ([1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]);
+        let mut position = square([0.0; 3], [right, front]);
+        let floor = position.len();
+        position.extend(square([0.0; 3], [up, front]));
+        for (turn, is_darker) in [(1.0, true), (-1.0, false)] {
+            let mut normal = vec![scaled(up, turn); floor];
+            normal.extend(vec![scaled(right, turn); position.len() - floor]);
+            let stage = Stage::new(Walls { position: &position, normal: &normal });
+            let at_edge =
+                (0..floor).filter(|&i| position[i][0] < 0.05 && (0.3..0.7).contains(&position[i][2]));
+            let open: Vec<f32> = at_edge.map(|i| stage.corner[i]).collect();
+            let mean = open.iter().sum::<f32>() / open.len() as f32;
+            assert!(if is_darker { mean < 0.9 } else { mean > 0.99 }, "{mean}");
+        }
+    }
+
+    #[test]
+    fn points_without_neighbours_or_normals_are_no_wall() {
+        let position = [[0.0; 3], [1.0, 0.0, 0.0], [f32::NAN, 0.0, 0.0]];
+        let stage = Stage::new(Walls { position: &position, normal: &[] });
+        assert_eq!((stage.bare.len(), stage.triangles.len()), (2, 0));
+        let normal = [[0.0, 1.0, 0.0], [0.0; 3], [0.0, 1.0, 0.0]];
+        let stage = Stage::new(Walls { position: &position, normal: &normal });
+        assert_eq!((stage.bare.len(), stage.position.len(), stage.triangles.len()), (1, 1, 0));
+        assert_eq!(stage.smoothed(&[0.5]), [0.5]);
+    }
+}

@@ -1,0 +1,322 @@
+//! `fluvia render`: pictures, sheets and films, of particles and of surfaces, and what they are not made of.
+
+use crate::common::{Folder, SCENE, cloud};
+
+/// A folder with a short run in `out`.
+fn with_run() -> Folder {
+    let folder = Folder::new();
+    folder.write("scene.json", SCENE);
+    folder.succeed("simulate scene.json --solver pbf --steps 6 --out out --format npz,vtu");
+    folder
+}
+
+fn bytes(folder: &Folder, name: &str) -> Vec<u8> {
+    std::fs::read(folder.path(name)).expect("a readable file")
+}
+
+/// The width and height of a PNG.
+fn size(folder: &Folder, name: &str) -> (u32, u32) {
+    let bytes = bytes(folder, name);
+    assert_eq!(&bytes[1..4], b"PNG", "{name}");
+    let number = |at: usize| u32::from_be_bytes(bytes[at..at + 4].try_into().expect("four bytes"));
+    (number(16), number(20))
+}
+
+/// The width of a GIF.
+fn gif_width(folder: &Folder, name: &str) -> u16 {
+    let bytes = bytes(folder, name);
+    u16::from_le_bytes([bytes[6], bytes[7]])
+}
+
+#[test]
+fn pictures_sheets_and_films() {
+    let folder = with_run();
+    folder.succeed("render out -o last.png --size 200");
+    folder.succeed("render out -o third.png --size 200 --frame 3 --color height");
+    assert_eq!(size(&folder, "last.png").0, size(&folder, "third.png").0);
+    assert!(bytes(&folder, "last.png") != bytes(&folder, "third.png"));
+    folder.succeed("render out -o sheet.png --size 100 --sheet 3x2");
+    folder.succeed("render A=out B=out -o two.png --size 100 --frames 0,3,6 --color body");
+    assert!(size(&folder, "sheet.png").0 > 300 && size(&folder, "two.png").0 > 300);
+    folder.succeed("render out -o film.gif --size 120 --every 2 --top -0.1");
+    // 2 hundredths of a second from frame to frame.
+    assert_eq!(delays(&folder, "film.gif"), [4, 4, 4, 4]);
+    folder.succeed("render out -o gaps.gif --size 120 --frames 0,1,6");
+    assert_eq!(delays(&folder, "gaps.gif"), [2, 10, 10]);
+    // The same frames give the same picture.
+    folder.succeed("render out -o again.png --size 200");
+    assert!(bytes(&folder, "last.png") == bytes(&folder, "again.png"));
+}
+
+/// The delays of a GIF's images, hundredths of a second: in the graphic control extensions.
+fn delays(folder: &Folder, name: &str) -> Vec<u16> {
+    let bytes = bytes(folder, name);
+    assert_eq!(&bytes[..6], b"GIF89a");
+    let blocks = bytes.windows(8).filter(|block| block[..3] == [0x21, 0xf9, 4] && block[7] == 0);
+    blocks.map(|block| u16::from_le_bytes([block[4], block[5]])).collect()
+}
+
+#[test]
+fn what_cannot_be_drawn() {
+    let folder = with_run();
+    for (arguments, words) in [
+        ("render out -o a.jpg", ["a.jpg", ".png"]),
+        ("render out -o a.png --frame 7", ["frame 7", "0 to 6"]),
+        ("render nothing -o a.png", ["nothing", "No such file"]),
+        ("render . -o a.png", [".", "no frames"]),
+        ("render out -o none/a.png", ["none", "No such file"]),
+        ("render out -o a.gif --frame 3", ["a.gif", "--frame"]),
+        ("render out -o a.mp4 --sheet 2x1", ["a.mp4", "--sheet"]),
+        ("render out -o a", ["a: ", ".mp4"]),
+        ("render out -o a.png --orbit 20", ["--orbit", ".mp4"]),
+        ("render out out -o a.png --plain", ["a.png", "--plain"]),
+        ("render out -o a.png --frames 8..9", ["8 to 9", "0 to 6"]),
+        ("render out -o a.png --eye 0,9,0 --look-at 0,0,0", ["place of the camera", "beside"]),
+        ("render out -o a.png --field-of-view 170", ["angle of view", "170"]),
+        ("render out -o a.png --size 20x99999", ["height", "16384"]),
+        ("render out -o a.png --surface --max-speed 3", ["--max-speed", "--color speed"]),
+        ("render out -o a.png --every 2", ["--every", ".gif"]),
+        ("render out -o a.png --color body --max-speed 3", ["--max-speed", "--color speed"]),
+        ("render out -o a.png --frames 0 --sheet 3x3", ["1 frames", "9 places"]),
+        ("render out out -o a.png --sheet 3x3", ["3 rows", "2 directories"]),
+    ] {
+        let run = folder.run(arguments);
+        assert_eq!(run.code, Some(1), "{arguments}: {}", run.stderr);
+        assert_eq!(run.stderr.lines().count(), 1, "{}", run.stderr);
+        for word in words {
+            assert!(run.stderr.contains(word), "{arguments}: {}", run.stderr);
+        }
+        assert!(["a.png", "a.gif", "a.mp4"].iter().all(|name| !folder.path(name).exists()));
+    }
+    for arguments in [
+        "render out -o a.png --size 12x",
+        "render out -o a.png --look-at 1,2",
+        "render out -o a.png --eye 1,2,3 --yaw 10",
+        "render out -o a.png --cube-size 0.5",
+        "render out -o a.png --frames 3..1",
+    ] {
+        assert_eq!(folder.run(arguments).code, Some(2), "{arguments}");
+    }
+}
+
+#[test]
+fn surfaces_are_drawn_in_every_colour_and_are_the_same_at_any_number_of_threads() {
+    let folder = with_run();
+    folder.succeed("render out -o spheres.png --size 200x120 --plain");
+    let mut seen = vec![bytes(&folder, "spheres.png")];
+    for options in ["", "--color speed", "--color height", "--color body", "--cube-size 1", "--frame 2"] {
+        folder
+            .succeed(&format!("render out -o a.png --size 200x120 --plain --surface --threads 1 {options}"));
+        assert_eq!(size(&folder, "a.png"), (200, 120), "{options}");
+        folder
+            .succeed(&format!("render out -o b.png --size 200x120 --plain --surface --threads 3 {options}"));
+        assert!(bytes(&folder, "a.png") == bytes(&folder, "b.png"), "{options}");
+        seen.push(bytes(&folder, "a.png"));
+    }
+    for (k, one) in seen.iter().enumerate() {
+        assert!(seen[..k].iter().all(|other| other != one), "picture {k} is another's");
+    }
+    // Legends: of speeds a scale, of bodies their names; of water none.
+    let height = |options: &str| {
+        folder.succeed(&format!("render out -o legend.png --size 200x120 --surface {options}"));
+        size(&folder, "legend.png").1
+    };
+    assert!(height("") < height("--color body") && height("--color body") < height("--color speed"));
+}
+
+#[test]
+fn films_show_ranges_of_frames_and_runs_side_by_side() {
+    let folder = with_run();
+    folder.succeed("render out -o part.gif --size 100 --frames 1..3,6");
+    assert_eq!(delays(&folder, "part.gif"), [2, 2, 6, 6]);
+    folder.succeed("render A=out -o one.gif --size 100 --frames 0..2");
+    folder.succeed("render A=out B=out -o two.gif --size 100 --frames 0..2");
+    assert_eq!((gif_width(&folder, "one.gif"), gif_width(&folder, "two.gif")), (112, 218));
+    folder.succeed("render out -o plain.gif --size 100x60 --plain --frames 0..2");
+    assert_eq!(gif_width(&folder, "plain.gif"), 100);
+    // A camera that moves shows something else.
+    folder.succeed("render out -o turned.gif --size 100x60 --plain --frames 0..2 --orbit 90");
+    assert!(bytes(&folder, "plain.gif") != bytes(&folder, "turned.gif"));
+    folder.succeed("render out -o water.gif --size 100x60 --plain --frames 0..2 --surface --threads 1");
+    folder.succeed("render out -o again.gif --size 100x60 --plain --frames 0..2 --surface --threads 3");
+    assert!(bytes(&folder, "water.gif") == bytes(&folder, "again.gif"));
+    // Frames that a run lacks are left out, if they are not asked for.
+    std::fs::create_dir(folder.path("few")).unwrap();
+    for name in ["run.json", "box.npz", "fluid_0001.npz", "fluid_0004.npz"] {
+        std::fs::copy(folder.path("out").join(name), folder.path("few").join(name)).unwrap();
+    }
+    folder.succeed("render out few -o few.gif --size 100");
+    assert_eq!(delays(&folder, "few.gif"), [6, 6]);
+    let run = folder.run("render out few -o none.gif --size 100 --frames 0..2");
+    assert!(run.code == Some(1) && run.stderr.contains("few: no frame 0"), "{}", run.stderr);
+}
+
+#[test]
+fn runs_that_do_not_go_together() {
+    let folder = with_run();
+    folder.succeed("simulate scene.json --solver pbf --steps 2 --out other");
+    let record = std::fs::read_to_string(folder.path("other/run.json")).unwrap();
+    for (key, value, output, word) in [
+        ("\"particle_radius\": 0.025", "\"particle_radius\": 0.05", "a.png", "particle radius"),
+        ("\"dt\": 0.02", "\"dt\": 0.01", "a.gif", "between frames"),
+    ] {
+        assert!(record.contains(key), "{record}");
+        folder.write("other/run.json", record.replace(key, value));
+        let run = folder.run(&format!("render out other -o {output} --frames 0..1 --size 60"));
+        assert_eq!(run.code, Some(1));
+        assert!(run.stderr.contains("other: ") && run.stderr.contains(word), "{}", run.stderr);
+        assert!(!folder.path(output).exists());
+    }
+}
+
+#[test]
+fn nothing_one_particle_and_numbers_that_are_none() {
+    let folder = Folder::new();
+    for (name, points) in [("empty", vec![]), ("one", vec!["1 2 3"]), ("bad", vec!["0 0 0", "inf 0 0"])] {
+        std::fs::create_dir(folder.path(name)).unwrap();
+        folder.write(&format!("{name}/fluid_0000.ply"), cloud(&points));
+    }
+    for options in ["", "--surface", "--surface --color speed", "--surface --color body"] {
+        folder.succeed(&format!("render empty -o empty.png --size 80 {options}"));
+        folder.succeed(&format!("render one -o one.png --size 80 {options}"));
+        let run = folder.run(&format!("render bad -o bad.png --size 80 {options}"));
+        assert!(run.code == Some(1) && run.stderr.contains("bad/fluid_0000.ply: "), "{}", run.stderr);
+        assert!(!folder.path("bad.png").exists());
+    }
+    folder.succeed("render one -o one.gif --size 80 --surface");
+    assert_eq!(delays(&folder, "one.gif"), [2]);
+}
+
+/// Whether ffmpeg and ffprobe are installed; says so where they are not.
+fn has_ffmpeg() -> bool {
+    let there = |program: &str| std::process::Command::new(program).arg("-version").output().is_ok();
+    let found = there("ffmpeg") && there("ffprobe");
+    if !found {
+        eprintln!("skipped: ffmpeg and ffprobe are not installed");
+    }
+    found
+}
+
+#[test]
+fn mp4_plays_at_the_speed_of_the_simulation() {
+    if !has_ffmpeg() {
+        return;
+    }
+    let folder = with_run();
+    let probe = |name: &str| {
+        let mut command = std::process::Command::new("ffprobe");
+        command.args([
+            "-v",
+            "error",
+            "-count_frames",
+            "-select_streams",
+            "v:0",
+            "-of",
+            "csv=p=0",
+            "-show_entries",
+        ]);
+        command
+            .arg("stream=codec_name,width,height,pix_fmt,r_frame_rate,nb_read_frames")
+            .arg(folder.path(name));
+        let output = command.output().expect("ffprobe");
+        assert!(output.status.success() && output.stderr.is_empty(), "{output:?}");
+        String::from_utf8(output.stdout).expect("UTF-8").trim().to_owned()
+    };
+    folder.succeed("render out -o plain.mp4 --size 160x90 --plain");
+    assert_eq!(probe("plain.mp4"), "h264,160,90,yuv420p,50/1,7");
+    // Odd sides become even.
+    folder.succeed("render out -o odd.mp4 --size 161x91 --plain --surface --frames 0..3");
+    assert_eq!(probe("odd.mp4"), "h264,162,92,yuv420p,50/1,4");
+    // Frames that are 2 and 4 apart are shown for 2 and 4.
+    folder.succeed("render out -o gaps.mp4 --size 160x90 --plain --frames 0,2,6");
+    assert_eq!(probe("gaps.mp4"), "h264,160,90,yuv420p,25/1,5");
+    folder.succeed("render out B=out -o both.mp4 --size 160 --every 2 --title Twice");
+    assert!(probe("both.mp4").ends_with("25/1,4"));
+    // Nothing but the films is left.
+    let names = std::fs::read_dir(folder.path("")).unwrap();
+    let names: Vec<String> = names.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+    assert!(names.iter().all(|name| !name.starts_with('.')), "{names:?}");
+}
+
+/// A folder with a run and a program `bin/ffmpeg` that does this when it is to make a film.
+#[cfg(unix)]
+fn with_ffmpeg(script: &str) -> Folder {
+    use std::os::unix::fs::PermissionsExt;
+    let folder = with_run();
+    std::fs::create_dir(folder.path("bin")).expect("a folder");
+    let path = "PATH=/usr/bin:/bin";
+    folder.write("bin/ffmpeg", format!("#!/bin/sh\n{path}\n[ \"$1\" = -version ] && exit 0\n{script}\n"));
+    std::fs::set_permissions(folder.path("bin/ffmpeg"), std::fs::Permissions::from_mode(0o755))
+        .expect("permissions");
+    folder
+}
+
+/// Names in a folder that begin with a film's, temporary ones too.
+#[cfg(unix)]
+fn films(folder: &Folder) -> Vec<String> {
+    let names = std::fs::read_dir(folder.path("")).expect("a folder");
+    let names = names.map(|entry| entry.expect("an entry").file_name().to_string_lossy().into_owned());
+    names.filter(|name| name.contains("film")).collect()
+}
+
+#[cfg(unix)]
+#[test]
+fn films_without_ffmpeg_or_with_one_that_fails() {
+    let folder = with_run();
+    std::fs::create_dir(folder.path("nothing")).unwrap();
+    let run = folder.run_with_path("render out -o film.mp4", Some("nothing"));
+    assert_eq!((run.code, run.stderr.lines().count()), (Some(1), 1), "{}", run.stderr);
+    assert!(
+        run.stderr.contains("film.mp4: ") && run.stderr.contains("ffmpeg") && run.stderr.contains(".gif")
+    );
+    assert_eq!(folder.run_with_path("render out -o film.gif --size 60", Some("nothing")).code, Some(0));
+
+    // One that fails in the middle, that is killed, and that fails at the end; what was there before stays.
+    for (script, word) in [
+        ("head -c 1000 > /dev/null; echo 'first' >&2; echo 'Unknown encoder' >&2; exit 1", "Unknown encoder"),
+        ("head -c 1000 > /dev/null; kill -9 $$", "signal"),
+        ("cat > /dev/null; echo 'No space left on device' >&2; exit 228", "No space left"),
+    ] {
+        let folder = with_ffmpeg(script);
+        folder.write("film.mp4", "old");
+        let run = folder.run_with_path("render out -o film.mp4 --size 200", Some("bin"));
+        assert_eq!((run.code, run.stderr.lines().count()), (Some(1), 1), "{}", run.stderr);
+        assert!(run.stderr.contains("film.mp4: ") && run.stderr.contains(word), "{}", run.stderr);
+        assert_eq!(films(&folder), ["film.mp4"]);
+        assert_eq!(bytes(&folder, "film.mp4"), b"old");
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn ctrl_c_leaves_no_half_film() {
+    let folder = with_ffmpeg("touch started; sleep 0.2; cat > /dev/null; sleep 60");
+    let arguments = "render out -o film.mp4 --size 100";
+    let mut command = folder.command(arguments);
+    command.env("PATH", folder.path("bin"));
+    // Pictures that fill the pipe, so that it is stopped while it writes.
+    let start = std::time::Instant::now();
+    std::fs::remove_dir_all(folder.path("out")).unwrap();
+    std::fs::create_dir(folder.path("out")).unwrap();
+    (0..2000).for_each(|k| folder.write(&format!("out/fluid_{k:04}.ply"), cloud(&["0 0 0", "1 1 1"])));
+    let run = folder.interrupt_command(command, arguments, "started");
+    assert!(run.stderr.contains("stopped"), "{}", run.stderr);
+    assert!(films(&folder).is_empty(), "{:?}", films(&folder));
+    assert!(start.elapsed().as_secs() < 50, "it waited for ffmpeg");
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_full_disk_leaves_no_half_film() {
+    if !has_ffmpeg() {
+        return;
+    }
+    let folder = with_run();
+    let Some(_disk) = crate::common::SmallDisk::mount(&folder.path("disk"), "4k") else { return };
+    for name in ["film.mp4", "film.gif"] {
+        let run = folder.run(&format!("render out -o disk/{name} --size 400"));
+        assert_eq!((run.code, run.stderr.lines().count()), (Some(1), 1), "{}", run.stderr);
+        assert!(run.stderr.contains(name), "{}", run.stderr);
+        assert_eq!(std::fs::read_dir(folder.path("disk")).unwrap().count(), 0);
+    }
+}
