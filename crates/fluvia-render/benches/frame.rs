@@ -44,8 +44,11 @@ fn walls() -> (Vec<[f32; 3]>, Vec<[f32; 3]>) {
     (position, normal)
 }
 
+/// Vertices, their normals, triangles.
+type Mesh = (Vec<[f32; 3]>, Vec<[f32; 3]>, Vec<[u32; 3]>);
+
 /// The wave as a closed surface: a grid above, and the same grid at the floor.
-fn surface() -> (Vec<[f32; 3]>, Vec<[f32; 3]>, Vec<[u32; 3]>) {
+fn surface() -> Mesh {
     let (columns, rows) = (200, 100);
     let (mut position, mut normal, mut triangles) = (Vec::new(), Vec::new(), Vec::new());
     for is_top in [true, false] {

@@ -54,6 +54,8 @@ const LEAST_THROUGH: [f32; 2] = [0.20, 0.30];
 pub(crate) const WATER: Vec3 = [0.022, 0.245, 0.44];
 /// Reflection of water seen straight on.
 const FRESNEL: f32 = 0.02;
+/// The least cosine between what is seen of water and the way to the eye.
+const LEAST_FACING: f32 = 0.06;
 /// How much water displaces what is behind it: 1 - 1 / 1.33.
 const REFRACTION: f32 = 0.25;
 
@@ -101,6 +103,9 @@ impl Light {
 
     /// Water of a colour, `way` metres thick, before `behind`.
     pub fn water(&self, color: Vec3, normal: Vec3, view: Vec3, way: f32, behind: Vec3, reach: Reach) -> Vec3 {
+        // A smoothed normal may look away from the eye, as no surface that is seen does: it is bent back.
+        let short = LEAST_FACING - dot(normal, view);
+        let normal = if short > 0.0 { unit(add(normal, scaled(view, short))) } else { normal };
         let facing = dot(normal, view).clamp(0.0, 1.0);
         let fresnel = FRESNEL + (1.0 - FRESNEL) * (1.0 - facing).powi(5);
         let radii = way / self.radius;

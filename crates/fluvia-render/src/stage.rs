@@ -29,6 +29,8 @@ pub struct Stage {
     around_starts: Vec<usize>,
     /// How far apart the points of the wall around each are, metres.
     pub(crate) spacing: Vec<f32>,
+    /// Whether the wall around each is flat.
+    flat: Vec<bool>,
     /// Corners of all cells: the place, and the points whose properties count there, equally; [`NONE`] where there are
     /// fewer.
     pub(crate) vertices: Vec<(Vec3, [u32; 3])>,
@@ -55,10 +57,20 @@ const ON_EDGE: f32 = 0.1;
 const BEHIND: f32 = 0.3;
 /// How far beyond the line between two points a cell reaches, in parts of their distance: round walls have no cracks then.
 const OVERLAP: f32 = 0.02;
+/// The same on round walls, and how far cells reach over their edges there, in spacings.
+const ROUND_OVERLAP: f32 = 0.06;
+const ROUND_EDGE: f32 = 0.06;
+/// Pieces of wall behind the cells of round walls: how much larger they are than those, and how far behind, in spacings.
+const BACK_SCALE: f32 = 1.35;
+const BACK_DEPTH: f32 = 0.25;
+/// The cosine up to which normals belong to one flat wall: 2.5 degrees.
+const FLAT: f32 = 0.999;
 /// The points around one that tell the spacing, ...
 const SPACING_NEIGHBORS: usize = 6;
 /// ... and the part of the distance of the last of them that the nearest is usually away.
 const SPACING_PART: f32 = 0.68;
+/// The most that points are apart, in distances to the nearest.
+const SPACING_MOST: f32 = 1.7;
 /// The most points that limit a cell: the nearest.
 const MOST_NEIGHBORS: usize = 64;
 /// How far around a point the light of a wall is averaged, in spacings.
@@ -66,7 +78,7 @@ const AROUND: f32 = 4.0;
 /// How far walls darken each other at their edges, in spacings.
 const CORNER_REACH: f32 = 7.0;
 /// How dark the inner edge between two walls is.
-const CORNER_DEPTH: f32 = 0.55;
+const CORNER_DEPTH: f32 = 0.6;
 
 impl Stage {
     /// The walls of a scene. Points that are not finite are left out; those without a normal become dots.
@@ -89,25 +101,45 @@ impl Stage {
         let tree = Tree::new(&stage.position);
         let places = 0..stage.position.len();
         stage.spacing = places.clone().into_par_iter().map(|i| spacing(&stage, &tree, i)).collect();
+        stage.flat = places.clone().into_par_iter().map(|i| is_flat(&stage, &tree, i)).collect();
         let cells: Vec<Vec<Corner>> =
             places.clone().into_par_iter().map(|i| cell(&stage, &tree, box_of, i)).collect();
-        stage.corner = places.clone().into_par_iter().map(|i| corner(&stage, &tree, i)).collect();
+        let corners: Vec<f32> = places.clone().into_par_iter().map(|i| corner(&stage, &tree, i)).collect();
         stage.around_starts.push(0);
         for around in places.into_par_iter().map(|i| around(&stage, &tree, i)).collect::<Vec<_>>() {
             stage.around.extend(around);
             stage.around_starts.push(stage.around.len());
         }
-        for (i, cell) in cells.iter().enumerate().filter(|(_, cell)| cell.len() >= 3) {
-            let (i, first) = (i as u32, stage.vertices.len() as u32);
-            stage.vertices.push((stage.position[i as usize], [i, NONE, NONE]));
-            let of = |corner: &Corner| [i, corner.before.unwrap_or(NONE), corner.after.unwrap_or(NONE)];
-            stage.vertices.extend(cell.iter().map(|corner| (corner.place, of(corner))));
-            for k in 0..cell.len() as u32 {
-                stage.triangles.push([first, first + 1 + k, first + 1 + (k + 1) % cell.len() as u32]);
-                stage.cell.push(i);
+        stage.corner = stage.smoothed(&corners);
+        for (i, cell) in cells.iter().enumerate() {
+            stage.add(i as u32, stage.position[i], cell);
+            if !stage.flat[i] && stage.spacing[i] > 0.0 {
+                // The cells of a round wall do not join; what is seen between them is a piece of wall behind them.
+                let behind = sub(stage.position[i], scaled(stage.normal[i], BACK_DEPTH * stage.spacing[i]));
+                let grown = |corner: &Corner| {
+                    let way = sub(corner.place, stage.position[i]);
+                    Corner { place: add(behind, scaled(way, BACK_SCALE)), ..*corner }
+                };
+                let back: Vec<Corner> = cell.iter().map(grown).collect();
+                stage.add(i as u32, behind, &back);
             }
         }
         stage
+    }
+
+    /// Adds a polygon around a middle that belongs to a point.
+    fn add(&mut self, i: u32, middle: Vec3, polygon: &[Corner]) {
+        if polygon.len() < 3 {
+            return;
+        }
+        let first = self.vertices.len() as u32;
+        self.vertices.push((middle, [i, NONE, NONE]));
+        let of = |corner: &Corner| [i, corner.before.unwrap_or(NONE), corner.after.unwrap_or(NONE)];
+        self.vertices.extend(polygon.iter().map(|corner| (corner.place, of(corner))));
+        for k in 0..polygon.len() as u32 {
+            self.triangles.push([first, first + 1 + k, first + 1 + (k + 1) % polygon.len() as u32]);
+            self.cell.push(i);
+        }
     }
 
     /// Whether two points belong to one wall, by their normals.
@@ -156,7 +188,11 @@ struct Corner {
 /// How far apart the points around a point are, of those with its normal; 0 if there are none.
 fn spacing(stage: &Stage, tree: &Tree, i: usize) -> f32 {
     let mut nearest = [f32::INFINITY; SPACING_NEIGHBORS];
+    let mut first = f32::INFINITY;
     tree.visit(&stage.position[i], f32::INFINITY, |j, squared, limit| {
+        if squared > 0.0 {
+            first = first.min(squared);
+        }
         if squared > 0.0 && squared < nearest[SPACING_NEIGHBORS - 1] && stage.is_same(i, j) {
             let place = nearest.partition_point(|&other| other <= squared);
             nearest[place..].rotate_right(1);
@@ -165,7 +201,20 @@ fn spacing(stage: &Stage, tree: &Tree, i: usize) -> f32 {
         }
     });
     let last = nearest.iter().rfind(|squared| squared.is_finite()).copied().unwrap_or(0.0);
-    SPACING_PART * last.sqrt()
+    // Where a wall bends sharply, points with the same normal are far.
+    (SPACING_PART * last.sqrt()).min(SPACING_MOST * first.sqrt())
+}
+
+/// Whether the points of the wall around a point have its normal.
+fn is_flat(stage: &Stage, tree: &Tree, i: usize) -> bool {
+    let mut flat = true;
+    tree.visit(&stage.position[i], (NEIGHBORS * stage.spacing[i]).powi(2), |j, _, limit| {
+        let cosine = dot(stage.normal[i], stage.normal[j]);
+        if cosine > SAME && cosine < FLAT {
+            (flat, *limit) = (false, -1.0);
+        }
+    });
+    flat
 }
 
 /// The polygon of a point.
@@ -174,15 +223,7 @@ fn cell(stage: &Stage, tree: &Tree, [low, high]: [Vec3; 2], i: usize) -> Vec<Cor
     if spacing == 0.0 {
         return Vec::new();
     }
-    let [right, up] = across(n);
-    let mut polygon: Vec<Corner> = (0..SIDES)
-        .map(|k| {
-            let (sine, cosine) = (std::f32::consts::TAU * k as f32 / SIDES as f32).sin_cos();
-            let reach = REACH * spacing;
-            let place = add(x, add(scaled(right, reach * cosine), scaled(up, reach * sine)));
-            Corner { place, before: None, after: None }
-        })
-        .collect();
+    let mut polygon = disc(x, n, REACH * spacing);
     let mut near = Vec::new();
     tree.visit(&x, (NEIGHBORS * spacing).powi(2), |j, squared, _| near.push((squared, j)));
     near.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
@@ -193,7 +234,8 @@ fn cell(stage: &Stage, tree: &Tree, [low, high]: [Vec3; 2], i: usize) -> Vec<Cor
         let way = sub(stage.position[j], x);
         // A wall below or above is not beside it.
         if dot(n, way).powi(2) < 0.25 * squared {
-            let limit = (0.5 + OVERLAP) * squared;
+            let over = if stage.flat[i] && stage.flat[j] { OVERLAP } else { ROUND_OVERLAP };
+            let limit = (0.5 + over) * squared;
             clip(&mut polygon, Some(j as u32), |p| limit - dot(sub(p, x), way));
         }
     }
@@ -211,16 +253,36 @@ fn cell(stage: &Stage, tree: &Tree, [low, high]: [Vec3; 2], i: usize) -> Vec<Cor
         }
         let inside = |p: Vec3| side * dot(m, sub(p, y));
         // And it ends where this wall goes on behind it.
-        let goes_on = |&(_, k): &(f32, usize)| is_same(k) && inside(stage.position[k]) < -BEHIND * spacing;
+        let goes_on = |&(_, k): &(f32, usize)| {
+            let from = sub(stage.position[k], y);
+            is_same(k)
+                && inside(stage.position[k]) < -BEHIND * spacing
+                && dot(from, from) < (BESIDE * spacing).powi(2)
+        };
         if dot(foot, foot) < (BESIDE * spacing).powi(2) && inside(x) > -clear && !near.iter().any(goes_on) {
-            clip(&mut polygon, None, inside);
+            // Of a round wall the plane through a point is not where the wall is beside it.
+            let over = if stage.flat[i] && stage.flat[j] { 0.0 } else { ROUND_EDGE * spacing };
+            clip(&mut polygon, None, |p| inside(p) + over);
         }
     }
+    // Walls that are not flat may bend to the box's inside where a cell reaches out of it.
     for k in 0..3 {
-        clip(&mut polygon, None, |p| p[k] - low[k]);
-        clip(&mut polygon, None, |p| high[k] - p[k]);
+        let margin = if stage.flat[i] { 0.0 } else { spacing * n[k].abs() };
+        clip(&mut polygon, None, |p| p[k] - low[k] + margin);
+        clip(&mut polygon, None, |p| high[k] - p[k] + margin);
     }
     polygon
+}
+
+/// A polygon of [`SIDES`] sides around a point, across its normal.
+fn disc(middle: Vec3, normal: Vec3, reach: f32) -> Vec<Corner> {
+    let [right, up] = across(normal);
+    let corner = |k: usize| {
+        let (sine, cosine) = (std::f32::consts::TAU * k as f32 / SIDES as f32).sin_cos();
+        let place = add(middle, add(scaled(right, reach * cosine), scaled(up, reach * sine)));
+        Corner { place, before: None, after: None }
+    };
+    (0..SIDES).map(corner).collect()
 }
 
 /// Keeps the part of a convex polygon where `inside` is not negative; `beyond` is the point on the other side.
@@ -272,9 +334,9 @@ fn corner(stage: &Stage, tree: &Tree, i: usize) -> f32 {
         let way = sub(stage.position[j], x);
         let facing = dot(n, way).max(0.0) * (-dot(stage.normal[j], way)).max(0.0);
         let fade = 1.0 - squared / (reach * reach);
-        if squared > 0.0 {
-            taken += facing / (squared * squared) * fade * fade;
-        }
+        // Nearer than others usually are, a point would count for more than its part of the wall.
+        let squared = squared.max(stage.spacing[i].powi(2)).max(f32::MIN_POSITIVE);
+        taken += facing / (squared * squared) * fade * fade;
     };
     let mut near = Vec::new();
     tree.visit(&x, reach * reach, |j, squared, _| near.push((j, squared)));
@@ -323,7 +385,8 @@ mod tests {
         let all = area(&stage, |_, _| true);
         assert!((1.0..1.1).contains(&all), "{all}");
         assert!(stage.vertices.iter().all(|(p, _)| p[1].abs() < 1e-6));
-        assert!(stage.corner.iter().all(|&open| open == 1.0));
+        // Float32 rounding of the weights.
+        assert!(stage.corner.iter().all(|&open| (open - 1.0).abs() < 1e-5));
         // A property is the mean of those around.
         let smoothed = stage.smoothed(&position.iter().map(|p| p[0]).collect::<Vec<_>>());
         assert!(smoothed.iter().zip(&position).all(|(x, p)| (x - p[0]).abs() < 0.1));

@@ -39,11 +39,15 @@ pub const DEFAULT_PARTICLE_RADIUS: f32 = 0.025;
 const MAX_BYTES: u64 = 4 << 20;
 
 /// The scenes that come with the program, by name.
-const SHIPPED: [(&str, &str); 4] = [
+const SHIPPED: [(&str, &str); 8] = [
     ("dam_break", include_str!("../../../assets/scenes/dam_break.json")),
     ("two_bodies", include_str!("../../../assets/scenes/two_bodies.json")),
     ("emitter_step", include_str!("../../../assets/scenes/emitter_step.json")),
     ("obstacle_course", include_str!("../../../assets/scenes/obstacle_course.json")),
+    ("river", include_str!("../../../assets/scenes/river.json")),
+    ("waterfall", include_str!("../../../assets/scenes/waterfall.json")),
+    ("three_viscosities", include_str!("../../../assets/scenes/three_viscosities.json")),
+    ("hundred_thousand", include_str!("../../../assets/scenes/hundred_thousand.json")),
 ];
 
 /// The text of a scene that comes with the program, from assets/scenes; it names no files.

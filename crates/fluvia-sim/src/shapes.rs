@@ -1,7 +1,7 @@
 //! Built-in shapes, named in scene files: meshes of unit size made by code.
 //!
-//! Solids (box to jack) are centred on the origin; containers (container to course) stand on y = 0 around the
-//! y axis. All fit a cube of side 1, so that `scale` is the size in metres. Their faces look outwards: as
+//! Solids (box to jack) are centred on the origin; containers (container to course) and landscapes (river, falls) stand
+//! on y = 0 around the y axis. All fit a cube of side 1, so that `scale` is the size in metres. Their faces look outwards: as
 //! walls they hold the fluid inside, and with `invert_normals` a solid is an obstacle in it.
 //!
 //! The containers of random scenes and the bodies in them are among these shapes
@@ -9,6 +9,7 @@
 
 mod build;
 mod containers;
+mod landscapes;
 mod solids;
 
 use crate::mesh::TriangleMesh;
@@ -73,10 +74,14 @@ pub enum Shape {
     Post,
     /// `course`: two rooms with a funnel between them; below it a landing, stairs and a basin.
     Course,
+    /// `river`: a valley with a winding river bed that falls along x to a lake; open above.
+    River,
+    /// `falls`: a cliff between a river bed above and a pool below; open above.
+    Falls,
 }
 
 /// Every shape and its name in scene files.
-const NAMES: [(Shape, &str); 24] = [
+const NAMES: [(Shape, &str); 26] = [
     (Shape::Box, "box"),
     (Shape::Sphere, "sphere"),
     (Shape::Cylinder, "cylinder"),
@@ -101,6 +106,8 @@ const NAMES: [(Shape, &str); 24] = [
     (Shape::Hill, "hill"),
     (Shape::Post, "post"),
     (Shape::Course, "course"),
+    (Shape::River, "river"),
+    (Shape::Falls, "falls"),
 ];
 
 impl Shape {
@@ -159,6 +166,8 @@ impl Shape {
             Shape::Hill => containers::hill(),
             Shape::Post => containers::post(),
             Shape::Course => containers::course(),
+            Shape::River => landscapes::river(),
+            Shape::Falls => landscapes::falls(),
         }
     }
 }
@@ -203,7 +212,7 @@ mod tests {
             Shape::Post => 1.0 - 0.25 * 0.25 * 0.125,
             // The area of its polygon, square metres.
             Shape::Course => 6.8325 / (3.2 * 3.2),
-            Shape::Basin | Shape::Bowl => f64::NAN,
+            Shape::Basin | Shape::Bowl | Shape::River | Shape::Falls => f64::NAN,
         };
         for shape in Shape::ALL {
             assert_eq!(Shape::from_name(shape.name()), Some(shape));
@@ -269,6 +278,25 @@ mod tests {
             models.iter().filter(|model| dent(&model.shape.mesh()) > 0.05).count()
         };
         assert_eq!((dented(&CONTAINERS), dented(&BODIES)), (6, 3));
+    }
+
+    #[test]
+    fn landscapes_face_down_and_their_rim_is_the_highest_way_out() {
+        for shape in [Shape::River, Shape::Falls] {
+            let mesh = shape.mesh();
+            let [low, high] = mesh.bounds().expect("triangles");
+            assert_eq!((low[1], high[1]), (0.0, 1.0), "{shape:?}");
+            for t in 0..mesh.triangles.len() {
+                let [a, b, c] = mesh.corners(t);
+                let normal = crate::mesh::cross(crate::mesh::sub(b, a), crate::mesh::sub(c, a));
+                assert!(normal[1] < 0.0, "{shape:?} {t}");
+            }
+            // Water that stands at the bottom of the lake and rises finds no way over the rim below this height.
+            let least_rim = if shape == Shape::River { 0.99 } else { 0.49 };
+            let is_rim = |p: &&[f32; 3]| p[0].abs() > 0.499 || p[2].abs() > 0.499;
+            let lowest = mesh.positions.iter().filter(is_rim).map(|p| p[1]).fold(f32::INFINITY, f32::min);
+            assert!(lowest > least_rim, "{shape:?} {lowest}");
+        }
     }
 
     #[test]

@@ -173,7 +173,9 @@ fn shipped_scenes() {
             .map(|e| e.position.len() as u64 * (e.stop - e.start).div_ceil(e.step))
             .sum::<u64>();
         println!("{name}: {emitted} fluid and {} wall particles", setup.boundary.position.len());
-        assert!((2000..=7000).contains(&emitted), "{name}: {emitted} particles");
+        // Emitters fill a river in 16 s; one scene is large by its name.
+        let expected = if name == "hundred_thousand" { 100_000..=110_000 } else { 2000..=8500 };
+        assert!(expected.contains(&emitted), "{name}: {emitted} particles");
         let [low, high] = bounds(&setup.boundary.position);
         for emitter in &setup.emitters {
             for x in &emitter.position {

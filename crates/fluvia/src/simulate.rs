@@ -30,8 +30,9 @@ Examples:
   fluvia simulate scene.json --weights pretrained_model_weights.pt --out out/published
   fluvia simulate scene.json --solver dfsph --out out/truth
 
-N steps write N + 1 frames; fluid_0000 is the state before the first step. The shipped scenes are
-dam_break, two_bodies, emitter_step and obstacle_course.")]
+N steps write N + 1 frames; fluid_0000 is the state before the first step. The shipped scenes are dam_break,
+two_bodies, emitter_step, obstacle_course, river, waterfall, three_viscosities (--weights viscosity, or
+--solver dfsph) and hundred_thousand.")]
 pub struct Args {
     /// A scene file (JSON), or the name of a shipped scene.
     scene: String,

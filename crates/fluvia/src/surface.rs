@@ -186,7 +186,7 @@ pub fn to_walls(surface: &mut Surface, position: &[[f32; 3]], normal: &[[f32; 3]
 }
 
 /// How far before a wall the surface of what rests there is at most, and up to where it is drawn out for it, particle radii.
-const WALL: [f32; 2] = [1.35, 3.6];
+const WALL: [f32; 2] = [1.35, 2.4];
 /// How far beside a vertex the points of a wall below it may lie, particle radii.
 const WALL_BESIDE: f32 = 1.6;
 /// The cosine from which on a normal faces a wall.

@@ -68,6 +68,20 @@ pub(super) fn above_heights(parts: usize, height: impl Fn(f64, f64) -> f64) -> T
     from_faces(faces)
 }
 
+/// The ground of height `height(x, z)` over the unit square, in `parts` across x and z: open above, its faces look down.
+pub(super) fn ground(parts: [usize; 2], height: impl Fn(f64, f64) -> f64) -> TriangleMesh {
+    let at = |i: usize, k: usize| {
+        let (x, z) = (i as f64 / parts[0] as f64 - 0.5, k as f64 / parts[1] as f64 - 0.5);
+        [x, height(x, z), z].map(|x| x as f32)
+    };
+    let squares = (0..parts[0]).flat_map(|i| (0..parts[1]).map(move |k| (i, k)));
+    let faces = squares.flat_map(|(i, k)| {
+        let [a, b, c, d] = [at(i, k), at(i + 1, k), at(i + 1, k + 1), at(i, k + 1)];
+        [vec![a, b, c], vec![a, c, d]]
+    });
+    from_faces(faces.collect())
+}
+
 /// The cells (i, j, k) of a grid with the given planes across x, y and z that are `filled`.
 pub(super) fn cells(planes: [&[f64]; 3], filled: impl Fn([usize; 3]) -> bool) -> TriangleMesh {
     let count = planes.map(|planes| planes.len() - 1);
