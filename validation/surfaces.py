@@ -7,8 +7,8 @@ FLUVIA is the program, FRAMES the directory of a run as npz. Writes the surfaces
 and reads them with trimesh, meshio and PyVista (the VTK library), which have to agree with each other; then prints of
 each tenth frame, or those asked for with --frames, a row of a table: triangles, open edges, edges of other than two
 triangles, bodies, volume in parts of the particles' (8 r^3 each), the part of the normals that point outwards, and the largest difference
-of a vertex' velocity from the nearest particle's, in parts of the highest speed. Exits with 1 if a surface is open, turned
-inside out or more than TOLERANCE off in volume.
+of a vertex' velocity from the nearest particle's, in parts of the highest speed. Exits with 1 if a surface is open or turned
+inside out, or its volume out of VOLUMES.
 
 Needs trimesh, meshio, pyvista and numpy from PyPI.
 """
@@ -24,8 +24,9 @@ import numpy as np
 import pyvista
 import trimesh
 
-# Splashes are sheets and drops, whose surface lies farther out than a particle's share of the volume.
-TOLERANCE = 0.25
+# Bodies start on a lattice, 8 r^3 a particle. In the published data, and so in DFSPH and in networks, a particle has the mass of
+# 0.8 times that volume at rest: a pool takes 0.8 of what fell into it.
+VOLUMES = 0.77, 1.03
 
 
 def main():
@@ -47,7 +48,7 @@ def main():
             mesh = trimesh.load(path, process=False)
             particles = np.load(f"{frames}/fluid_{number}.npz")
 
-            # Four readers, one surface.
+            # Three programs, one surface.
             other = trimesh.load(f"{folder}/obj/{name}.obj", process=False, maintain_order=True)
             assert np.array_equal(mesh.faces, other.faces)
             assert np.allclose(mesh.vertices, other.vertices, atol=1e-6)
@@ -75,7 +76,7 @@ def main():
                 f"| {int(number)} | {len(particles['pos'])} | {len(mesh.faces)} | {open_edges} | {int(np.sum(uses != 2))} "
                 f"| {mesh.body_count} | {volume:.3f} | {outwards:.4f} | {difference:.2f} |"
             )
-            bad += open_edges > 0 or not abs(volume - 1) < TOLERANCE or outwards < 0.99
+            bad += open_edges > 0 or not VOLUMES[0] < volume < VOLUMES[1] or outwards < 0.99
     sys.exit(int(bad > 0))
 
 

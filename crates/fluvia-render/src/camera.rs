@@ -60,8 +60,9 @@ pub struct Camera {
     focal: f64,
     shift: [f64; 2],
     near: f64,
-    /// The depth of the scene's farthest point, metres.
-    far: f64,
+    /// The middle of what is to be seen, and how far it reaches from there, metres.
+    center: [f64; 3],
+    reach: f64,
     /// The direction to the lamp, a unit vector.
     lamp: [f64; 3],
     /// Up, a unit vector, and the height along it above which walls are cut away, metres.
@@ -81,6 +82,9 @@ const DISTANCE_LEAST: f64 = 20.0;
 const NEAR: f64 = 0.3;
 /// What is nearer than this many particle radii is not drawn, if the eye is given.
 const NEAR_GIVEN: f64 = 4.0;
+
+/// Particles farther from the scene's middle than this many times its reach cast no shadow.
+const SHADOW_REACH: f64 = 2.0;
 
 impl Camera {
     /// The camera that frames `subject`: the walls from the floor to the highest particle or to `view.top`,
@@ -116,7 +120,8 @@ impl Camera {
             focal: 1.0,
             shift: [0.0; 2],
             near,
-            far: 0.0,
+            center: bounds.centre(),
+            reach: 0.5 * wide.hypot(deep).hypot(tall),
             lamp: [0.0; 3],
             up: [0.0, 1.0, 0.0],
             top,
@@ -127,6 +132,7 @@ impl Camera {
         camera.axes = camera.axes.map(|axis| rotate_back(&upright, axis));
         camera.eye = rotate_back(&upright, camera.eye);
         camera.pivot = rotate_back(&upright, camera.pivot);
+        camera.center = rotate_back(&upright, camera.center);
         camera.up = upright[1];
         camera.lamp = rotate_back(&upright, lamp(axes));
         Ok(camera)
@@ -187,9 +193,10 @@ impl Camera {
         std::array::from_fn(|k| (self.eye[k] + offset[k]) as f32)
     }
 
-    /// The depth of the scene's farthest point, metres.
-    pub(crate) fn far(&self) -> f32 {
-        self.far as f32
+    /// Whether a point is in the scene or not far from it: what is farther away casts no shadow on it.
+    pub(crate) fn is_near(&self, point: [f32; 3]) -> bool {
+        let squared: f64 = (0..3).map(|k| (f64::from(point[k]) - self.center[k]).powi(2)).sum();
+        squared.sqrt() <= SHADOW_REACH * self.reach
     }
 
     /// Up, a unit vector.
@@ -232,7 +239,6 @@ impl Camera {
             let camera = self.turned(part * view.sweep.clamp(-360.0, 360.0));
             for &point in points {
                 let [x, y, depth] = camera.project_wide(point);
-                self.far = self.far.max(depth);
                 if depth <= self.near {
                     continue;
                 }

@@ -144,9 +144,6 @@ impl Values<'_> {
 /// sample of the bands that are drawn at once.
 const MAX_SAMPLES: u64 = 1 << 27;
 
-/// Particles and walls farther from the picture than this many times its sides cast no shadow into it.
-const SHADOW_REACH: f32 = 2.0;
-
 /// How far over the middle of a sphere what covers it lies, in radii: over its own top.
 const SPHERE_BIAS: f32 = 1.25;
 /// How far over a surface the sky is looked at, in particle radii: over its own bumps.
@@ -162,10 +159,8 @@ pub fn draw_frame(frame: &Frame<'_>, stage: &Stage, camera: &Camera, style: &Sty
     frame.check()?;
     check_style(style, camera)?;
     let ramp = Ramp::new();
-    // What is thrown far out of the picture must not make the maps of the light coarse.
-    let near: Vec<usize> =
-        (0..frame.position.len()).filter(|&i| is_near(camera, frame.position[i])).collect();
-    let particles: Vec<Vec3> = near.iter().map(|&i| frame.position[i]).collect();
+    // What is thrown far out of the scene must not make the maps of the light coarse.
+    let particles: Vec<Vec3> = frame.position.iter().copied().filter(|&p| camera.is_near(p)).collect();
     let surface = frame.surface.filter(|surface| !surface.triangles.is_empty());
     let scene = Scene {
         stage,
@@ -177,10 +172,9 @@ pub fn draw_frame(frame: &Frame<'_>, stage: &Stage, camera: &Camera, style: &Sty
     let shadow = Shadow::new(&scene, camera.lamp());
 
     let is_outside = |i: usize| frame.outside.get(i) == Some(&true);
-    let spheres: Vec<(u32, Vec3)> = near
-        .iter()
-        .filter(|&&i| frame.surface.is_none() || is_outside(i))
-        .map(|&i| (i as u32, frame.position[i]))
+    let spheres: Vec<(u32, Vec3)> = (0..frame.position.len())
+        .filter(|&i| finite(&frame.position[i]) && (frame.surface.is_none() || is_outside(i)))
+        .map(|i| (i as u32, frame.position[i]))
         .collect();
     let mut sphere_sky = vec![0.0; frame.position.len()];
     let mut sphere_lamp = vec![Lit::default(); frame.position.len()];
@@ -235,15 +229,6 @@ pub fn draw_frame(frame: &Frame<'_>, stage: &Stage, camera: &Camera, style: &Sty
 fn mean(colors: &[Vec3]) -> Vec3 {
     let sum = colors.iter().fold([0.0; 3], |sum, &color| add(sum, color));
     if colors.is_empty() { [1.0; 3] } else { scaled(sum, 1.0 / colors.len() as f32) }
-}
-
-/// Whether a particle is in the picture or not far from it.
-fn is_near(camera: &Camera, point: Vec3) -> bool {
-    let (width, height) = (camera.width() as f32, camera.height() as f32);
-    camera.project(point).is_some_and(|[x, y, depth]| {
-        let beside = |x: f32, side: f32| (x - 0.5 * side).abs() < SHADOW_REACH * side;
-        beside(x, width) && beside(y, height.max(width)) && depth < SHADOW_REACH * camera.far()
-    })
 }
 
 fn finite(point: &[f32; 3]) -> bool {

@@ -65,6 +65,8 @@ const BACK_SCALE: f32 = 1.35;
 const BACK_DEPTH: f32 = 0.25;
 /// The cosine up to which normals belong to one flat wall: 2.5 degrees.
 const FLAT: f32 = 0.999;
+/// The cosine from which on a wall lies along a side of the box around all points.
+const ALONG: f32 = 0.97;
 /// The points around one that tell the spacing, ...
 const SPACING_NEIGHBORS: usize = 6;
 /// ... and the part of the distance of the last of them that the nearest is usually away.
@@ -265,9 +267,9 @@ fn cell(stage: &Stage, tree: &Tree, [low, high]: [Vec3; 2], i: usize) -> Vec<Cor
             clip(&mut polygon, None, |p| inside(p) + over);
         }
     }
-    // Walls that are not flat may bend to the box's inside where a cell reaches out of it.
+    // A round wall that lies along a side of the box bends inwards where its cells reach out.
     for k in 0..3 {
-        let margin = if stage.flat[i] { 0.0 } else { spacing * n[k].abs() };
+        let margin = if stage.flat[i] || n[k].abs() < ALONG { 0.0 } else { spacing };
         clip(&mut polygon, None, |p| p[k] - low[k] + margin);
         clip(&mut polygon, None, |p| high[k] - p[k] + margin);
     }
@@ -358,7 +360,7 @@ mod tests {
         let at = |i: usize, j: usize| {
             // Off the lattice, as samples are, but on the rim.
             let shift = |i: usize, j: usize| {
-                if i % count == 0 { 0.0 } else { 0.25 * ((i * 7 + j * 5) % 9) as f32 / 9.0 }
+                if i.is_multiple_of(count) { 0.0 } else { 0.25 * ((i * 7 + j * 5) % 9) as f32 / 9.0 }
             };
             let part = [(i as f32 + shift(i, j)) / count as f32, (j as f32 + shift(j, i)) / count as f32];
             add(origin, add(scaled(along[0], part[0]), scaled(along[1], part[1])))

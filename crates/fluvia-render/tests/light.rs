@@ -15,8 +15,11 @@ fn floor() -> (Vec<[f32; 3]>, Vec<[f32; 3]>) {
     points.map(|point| (at(point), [0.0, 1.0, 0.0])).unzip()
 }
 
-/// A closed ball as a surface: vertices, normals, triangles.
-fn ball(center: [f32; 3], radius: f32) -> (Vec<[f32; 3]>, Vec<[f32; 3]>, Vec<[u32; 3]>) {
+/// Vertices, their normals, triangles.
+type Mesh = (Vec<[f32; 3]>, Vec<[f32; 3]>, Vec<[u32; 3]>);
+
+/// A closed ball as a surface.
+fn ball(center: [f32; 3], radius: f32) -> Mesh {
     let (rings, sides) = (40u32, 80u32);
     let (mut position, mut normal, mut triangles) = (Vec::new(), Vec::new(), Vec::new());
     for ring in 0..=rings {

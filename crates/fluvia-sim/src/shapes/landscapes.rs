@@ -19,7 +19,7 @@ pub(super) fn river() -> TriangleMesh {
         let channel = bed + 0.6 * fade(0.03, 0.24, (z - middle).abs());
         let shore = ((x - 0.28) / 0.19).hypot(z / 0.36);
         let ground = channel.min(0.5 * fade(0.62, 1.3, shore));
-        ground + rim(x, z) * (1.0 - ground)
+        ground + rim(0.36, x, z) * (1.0 - ground)
     })
 }
 
@@ -30,17 +30,17 @@ pub(super) fn falls() -> TriangleMesh {
         let above = 0.6 + 0.04 * fade(CLIFF, -0.45, x) + 0.3 * fade(0.06, 0.3, (z - middle).abs());
         let pool = 0.34 * fade(0.18, 0.46, (0.95 * (x - 0.16)).hypot(0.9 * z));
         // The cliff is as steep as the ground's squares are small.
-        let (ground, height) = if x < CLIFF + 1e-9 { (above, 1.0) } else { (pool, 0.5) };
-        ground + rim(x, z) * (height - ground).max(0.0)
+        let (ground, height) = if x < CLIFF + 1e-9 { (above, 1.0) } else { (pool, 0.44) };
+        ground + rim(0.32, x, z) * (height - ground).max(0.0)
     })
 }
 
 /// Where the cliff is: on a line of the ground's squares.
 const CLIFF: f64 = -0.1;
 
-/// A rim all around that water does not leave by: 0 inside, 1 at the edges.
-fn rim(x: f64, z: f64) -> f64 {
-    let part = |x: f64| ((x.abs() - 0.36) / 0.14).max(0.0);
+/// A rim all around that water does not leave by: 0 up to `from` on either axis, 1 at the edges.
+fn rim(from: f64, x: f64, z: f64) -> f64 {
+    let part = |x: f64| ((x.abs() - from) / (0.5 - from)).max(0.0);
     part(x).max(part(z)).powi(2)
 }
 
