@@ -45,7 +45,7 @@ pub struct Args {
     /// The picture (.png) or film (.mp4, .gif) to write.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// Draw the surface of the liquid, not its particles.
+    /// Draw the surface of the liquid, not its particles. It is drawn out to the walls that the liquid rests at.
     #[arg(long)]
     surface: bool,
     /// The side of the cubes that the surface is cut with, particle radii; 0.5 if not given.

@@ -352,6 +352,42 @@ mod tests {
     }
 
     #[test]
+    fn a_surface_is_drawn_out_to_the_walls_that_it_rests_at_and_nowhere_else() {
+        // A block that rests 1.8 radii above a floor, as liquids do, and far from a wall at its side.
+        let position: Vec<[f32; 3]> =
+            block(8, RADIUS).into_iter().map(|[x, y, z]| [x, y + 1.8 * RADIUS, z]).collect();
+        let flat = (-10..40).flat_map(|i| (-10..40).map(move |k| (0.03 * i as f32, 0.03 * k as f32)));
+        let floor = flat.clone().map(|(x, z)| ([x, 0.0, z], [0.0, 1.0, 0.0]));
+        let side = flat.map(|(y, z)| ([-0.2, y, z], [1.0, 0.0, 0.0]));
+        let (wall, normal): (Vec<_>, Vec<_>) = floor.chain(side).unzip();
+        let mut surface = reconstruct(&position, None, RADIUS, &params()).unwrap();
+        let before = surface.clone();
+        to_walls(&mut surface, &wall, &normal, RADIUS);
+        assert_eq!((surface.mesh.open_edges(), surface.mesh.is_oriented()), (0, true));
+        let [low, high] = surface.mesh.bounds().unwrap();
+        let [low_before, high_before] = before.mesh.bounds().unwrap();
+        assert!(low_before[1] > 0.5 * f64::from(RADIUS));
+        // At the floor, and not below it.
+        assert!(low[1].abs() < 1e-6, "{low:?}");
+        let at_floor = surface.mesh.positions.iter().filter(|p| p[1] < 1e-6).count();
+        assert!(at_floor > 500, "{at_floor}");
+        assert!((low[0], high) == (low_before[0], high_before), "what is not near stays");
+    }
+
+    #[test]
+    fn shares_add_up_and_the_nearest_counts_most() {
+        let position = [[0.0; 3], [0.05, 0.0, 0.0], [1.0, 0.0, 0.0]];
+        let found = shares(&[[0.01, 0.02, 0.0], [9.0; 3]], &position, RADIUS);
+        let (first, second) = (found[0][0], found[0][1]);
+        assert_eq!((found[0].len(), first.0.min(second.0), first.0.max(second.0)), (2, 0, 1));
+        // Float32 rounding.
+        assert!((first.1 + second.1 - 1.0).abs() < 1e-6);
+        let of = |i: usize| found[0].iter().find(|share| share.0 == i).map(|share| share.1);
+        assert!(of(0) > of(1));
+        assert!(found[1].is_empty());
+    }
+
+    #[test]
     fn nothing_is_a_surface_without_triangles_and_bad_numbers_are_errors() {
         assert_eq!(reconstruct(&[], None, RADIUS, &params()).unwrap(), Surface::default());
         let error = reconstruct(&[[0.0; 3], [0.0, f32::NAN, 0.0]], None, RADIUS, &params()).unwrap_err();
