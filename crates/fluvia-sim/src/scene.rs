@@ -34,6 +34,12 @@ pub const DEFAULT_DT: f32 = 0.02;
 /// Particle radius where a scene says nothing, metres: that of the published data.
 pub const DEFAULT_PARTICLE_RADIUS: f32 = 0.025;
 
+/// The unit vector against gravity; y without gravity.
+pub fn up(gravity: [f32; 3]) -> [f32; 3] {
+    let length = gravity.iter().map(|g| g * g).sum::<f32>().sqrt();
+    if length > 0.0 { gravity.map(|g| -g / length) } else { [0.0, 1.0, 0.0] }
+}
+
 /// The largest scene file that is read, bytes: scenes refer to what is large. JSON takes up to 40 times as much
 /// memory as its text.
 const MAX_BYTES: u64 = 4 << 20;
@@ -271,4 +277,16 @@ pub struct Emitter {
     pub step: u64,
     /// Its material, the scene's where it has none of its own.
     pub material: Material,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn up_is_against_gravity() {
+        assert_eq!(up([0.0, -9.81, 0.0]), [0.0, 1.0, 0.0]);
+        assert_eq!(up([4.0, 0.0, 0.0]), [-1.0, 0.0, 0.0]);
+        assert_eq!(up([0.0; 3]), [0.0, 1.0, 0.0]);
+    }
 }

@@ -9,6 +9,7 @@ use fluvia_render::{
 };
 use fluvia_sim::frames::ParticleData;
 use fluvia_sim::mesh;
+use fluvia_sim::scene::up;
 
 use crate::frame_source::FrameSource;
 use crate::surface::{self, reconstruct};
@@ -58,7 +59,7 @@ impl Run {
             numbers: source.numbers().to_vec(),
             dt: source.dt,
             radius: source.particle_radius,
-            up: against(source.gravity),
+            up: up(source.gravity),
             stage: Stage::default(),
             walls: source.walls().clone(),
             outside: None,
@@ -145,12 +146,6 @@ impl Run {
     }
 }
 
-/// The unit vector against gravity; without gravity y is up, as everywhere.
-fn against(gravity: [f32; 3]) -> [f32; 3] {
-    let length = gravity.iter().map(|g| g * g).sum::<f32>().sqrt();
-    if length > 0.0 { gravity.map(|g| -g / length) } else { [0.0, 1.0, 0.0] }
-}
-
 /// What gives particles or vertices their colours.
 pub enum Colors {
     None,
@@ -226,7 +221,7 @@ mod tests {
     #[test]
     fn heights_are_metres_whatever_the_gravity() {
         for (gravity, height) in [([0.0, -9.81, 0.0], 2.0), ([0.0; 3], 2.0), ([0.0, 0.0, -0.5], 3.0)] {
-            assert_eq!(heights(&[[1.0, 2.0, 3.0]], against(gravity)), [height]);
+            assert_eq!(heights(&[[1.0, 2.0, 3.0]], up(gravity)), [height]);
         }
     }
 }

@@ -6,10 +6,11 @@ use anyhow::{Context, Result, bail};
 use fluvia_sim::frames::ParticleData;
 use fluvia_sim::kernel::{CubicSpline, SUPPORT_IN_RADII, wall_volumes};
 use fluvia_sim::metrics::density_ratios_within;
+use fluvia_sim::scene::up;
 use fluvia_view::walls::Walls;
 use fluvia_view::{Command, Frame, Mode, Panel, PanelState, State};
 
-use super::stage::{Show, blank, up};
+use super::stage::{Show, blank};
 use super::surfaces;
 use crate::frame_source::FrameSource;
 

@@ -178,12 +178,6 @@ impl<S: Show> Stage<S> {
     }
 }
 
-/// The unit vector against gravity; y without gravity.
-pub fn up(gravity: [f32; 3]) -> [f32; 3] {
-    let length = gravity.iter().map(|g| g * g).sum::<f32>().sqrt();
-    if length > 0.0 { gravity.map(|g| -g / length) } else { [0.0, 1.0, 0.0] }
-}
-
 /// A state that says nothing.
 pub fn blank(mode: Mode) -> State {
     State {
@@ -319,12 +313,5 @@ mod tests {
         }
         stage.obey(&Command::Speed { factor: None }).unwrap();
         assert_eq!((stage.speed, stage.interval()), (None, Duration::ZERO));
-    }
-
-    #[test]
-    fn up_is_against_gravity() {
-        assert_eq!(up([0.0, -9.81, 0.0]), [0.0, 1.0, 0.0]);
-        assert_eq!(up([4.0, 0.0, 0.0]), [-1.0, 0.0, 0.0]);
-        assert_eq!(up([0.0; 3]), [0.0, 1.0, 0.0]);
     }
 }
