@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # How many frames `fluvia view` gets across, and what connections cost a simulation. Takes some minutes on an idle
-# machine; needs chromium for the part in the page. Prints what it measures; validation/README.md has dated results.
+# machine; needs chromium for the part in the page. Prints what it measures, which validation/README.md lists.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 folder=$(mktemp -d)
@@ -31,6 +31,8 @@ serve() {
 }
 end() { kill -INT "$server"; wait "$server" || true; server=""; : > "$folder/address"; }
 receive() { target/release/examples/receive "$address" 10 "$@"; }
+# What the server uses now, and the most that it has used.
+memory() { grep -E 'VmRSS|VmHWM' "/proc/$server/status"; }
 
 for frames in 6k 100k; do
     echo "== playback of $frames, a program that decodes"
@@ -45,7 +47,10 @@ done
 echo "== a simulation (dam_break, dfsph) with one connection"
 serve dam_break --solver dfsph
 receive 1
+echo "== memory before the load"
+memory
 echo "== the same with 50 connections, and 10 that never read"
 receive 50 10
-grep VmRSS "/proc/$server/status"
+echo "== memory after it"
+memory
 end
