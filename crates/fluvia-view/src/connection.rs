@@ -17,7 +17,7 @@ use crate::server::Shared;
 /// Frames on their way at most: one that travels while another is drawn.
 const ON_THEIR_WAY: usize = 2;
 
-/// Who does not read for so long is not there any more.
+/// Who has room for nothing for so long, neither here nor in the system's buffers, is not there any more.
 const PATIENCE: Duration = Duration::from_secs(30);
 
 /// How often a command is offered to a program that is behind.

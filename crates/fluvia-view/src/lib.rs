@@ -12,6 +12,7 @@
 //!
 //! The server knows no solver and no file: the page is compiled in, and there is no path that could be asked for.
 
+mod accept;
 mod assets;
 mod budget;
 mod command;

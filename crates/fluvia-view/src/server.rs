@@ -1,8 +1,8 @@
 //! The server: a thread of its own, on which all connections take turns.
 //!
 //! What the program publishes is kept once, the newest only. A connection takes it when it has room (two frames on their
-//! way at most, see `connection.rs`; all together no more than `budget.rs` has), so the memory of the server depends on the number of connections and the size of a
-//! frame, never on how slowly anyone reads.
+//! way at most, see `connection.rs`; all together no more than `budget.rs` has), so the memory of the server depends on the
+//! number of connections and the size of a frame, never on how slowly anyone reads.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -21,7 +21,6 @@ use axum::http::{HeaderValue, StatusCode};
 use axum::middleware::{self, Next};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{any, get};
-use axum::serve::ListenerExt;
 use bytes::Bytes;
 use tokio::net::TcpListener;
 use tokio::sync::{Semaphore, oneshot, watch};
@@ -32,12 +31,12 @@ use crate::command::Command;
 use crate::frame::{self, Frame};
 use crate::state::State;
 use crate::walls::{self, Walls};
-use crate::{connection, guard};
+use crate::{accept, connection, guard};
 
 /// Commands that wait for the program at most; connections that send more wait with them.
 const WAITING_COMMANDS: usize = 64;
 
-/// The most connections at a time: more than people look, fewer than a process may open.
+/// The most connections at a time that frames are sent over: more than people look, fewer than a process may open.
 const MOST_CONNECTIONS: usize = 256;
 
 /// The longest message that a connection may send, bytes: commands are a tenth of it.
@@ -101,6 +100,9 @@ impl Server {
         let (bound, listener) = listen().map_err(|source| Error::Address { address, source })?;
         let runtime =
             tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(Error::Start)?;
+        let inside = runtime.enter();
+        let listener = TcpListener::from_std(listener).map_err(Error::Start)?;
+        drop(inside);
         let (commands, receiver) = sync_channel(WAITING_COMMANDS);
         let shared = Arc::new(Shared {
             frames: watch::Sender::default(),
@@ -116,12 +118,9 @@ impl Server {
         let (end, ended) = oneshot::channel();
         let run = move || {
             runtime.block_on(async {
-                let Ok(listener) = TcpListener::from_std(listener) else { return };
-                // Frames are whole messages: nothing is gained by waiting for more.
-                let listener = listener.tap_io(|stream| drop(stream.set_nodelay(true)));
                 tokio::select! {
                     _ = ended => {}
-                    _ = axum::serve(listener, app).into_future() => {}
+                    () = accept::accept(listener, app) => {}
                 }
             });
         };

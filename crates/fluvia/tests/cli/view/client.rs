@@ -178,7 +178,8 @@ impl Client {
         }
     }
 
-    fn next(&mut self) -> Option<Decoded> {
+    /// Reads a message; gives it if it is a frame, and keeps what else it is.
+    pub fn next(&mut self) -> Option<Decoded> {
         match self.socket.read().expect("a message") {
             Message::Text(text) => {
                 self.state = serde_json::from_str(&text).expect("JSON");

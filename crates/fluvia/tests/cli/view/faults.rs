@@ -156,6 +156,31 @@ fn a_broken_message_closes_its_connection_alone() {
     good.until("it runs", |state| state["playing"] == true);
 }
 
+/// More connections than are let in at a time say nothing, or half of something.
+#[test]
+fn who_asks_for_nothing_is_let_go() {
+    let (_folder, view) = small();
+    let mut asking: Vec<TcpStream> = (0..200)
+        .map(|_| {
+            let stream = TcpStream::connect(&view.address).unwrap();
+            stream.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
+            stream
+        })
+        .collect();
+    asking[0].write_all(b"GET /socket HTTP/1.1\r\nHost: ").unwrap();
+    match std::fs::read_dir(format!("/proc/{}/fd", view.process())) {
+        // Those that are let in, and some files of the program's own.
+        Ok(files) => assert!(files.count() < 190, "a file for each connection"),
+        Err(_) => println!("skipped: this system does not say which files a process has open"),
+    }
+    // Who has something to ask waits for a place, and gets it.
+    assert!(view.get("/").starts_with("HTTP/1.1 200"));
+    view.connect().frame();
+    for stream in &mut asking {
+        assert!(stream.read_to_end(&mut Vec::new()).is_ok(), "still open");
+    }
+}
+
 #[test]
 fn what_cannot_be_shown_is_one_line() {
     let folder = Folder::new();

@@ -65,6 +65,39 @@ fn who_does_not_read_costs_nothing() {
 }
 
 #[test]
+fn two_frames_are_on_their_way_at_most() {
+    let folder = Folder::new();
+    folder.write("scene.json", crate::common::SCENE);
+    folder.succeed("simulate scene.json --solver pbf --steps 1 --out run");
+    let view = View::start(&folder, "run --paused");
+    let (mut client, mut silent) = (view.connect(), view.connect());
+    silent.reads = false;
+    client.frame();
+    let mut got = vec![silent.frame().sequence];
+    // A state that has come says that the frames before it would have come too.
+    let speed = |k: u32| json!(1.0 + f64::from(k) / 10.0);
+    for k in 1..=10 {
+        for index in [1, 0, 1, 0] {
+            client.send(json!({"do": "seek", "index": index}));
+            client.until_frame("it is sought", |frame| frame.number == index);
+        }
+        client.send(json!({"do": "speed", "factor": speed(k)}));
+        client.until("it is faster", |state| state["speed"] == speed(k));
+    }
+    while silent.state["speed"] != speed(10) {
+        got.extend(silent.next().map(|frame| frame.sequence));
+    }
+    assert!(got.len() <= 2, "{got:?}");
+    // With room again it gets the newest.
+    silent.send(json!({"do": "acknowledge", "sequence": got.last()}));
+    silent.reads = true;
+    client.send(json!({"do": "seek", "index": 1}));
+    let newest = client.until_frame("it is sought", |frame| frame.number == 1).sequence;
+    let next = silent.until_frame("the newest is there", |frame| frame.sequence >= newest);
+    assert!(next.sequence > got[0] + 10, "{} after {got:?}", next.sequence);
+}
+
+#[test]
 fn fifty_connections_see_a_simulation_run() {
     let folder = Folder::new();
     folder.write("scene.json", crate::common::SCENE);
