@@ -10,7 +10,7 @@ pub enum Command {
     Play,
     /// Stand still.
     Pause,
-    /// So many frames on, back where negative, and stand still.
+    /// So many frames on, one after another, back where negative, and stand still.
     Step {
         /// Frames.
         by: i32,
@@ -75,6 +75,9 @@ pub enum Command {
     /// Somebody wants to see what the last frame did not have: publish it again. Not sent by the page.
     #[serde(skip)]
     Refresh,
+    /// Somebody has come to look, the first of all; it comes before any other command. Not sent by the page.
+    #[serde(skip)]
+    Look,
 }
 
 /// A body of fluid.
@@ -173,6 +176,7 @@ mod tests {
             "{}",
             r#"{"do":"stop"}"#,
             r#"{"do":"refresh"}"#,
+            r#"{"do":"look"}"#,
             r#"{"do":"step"}"#,
             r#"{"do":"step","by":1.5}"#,
             r#"{"do":"step","by":1,"to":2}"#,

@@ -41,6 +41,9 @@ struct Refusal(u16, String);
 
 async fn exchange(socket: &mut WebSocket, wish: &mut Wish<'_>) -> Result<(), Refusal> {
     let shared = wish.shared;
+    if !shared.is_seen.swap(true, Ordering::Relaxed) {
+        give(shared, Command::Look).await;
+    }
     let mut frames = shared.frames.subscribe();
     let mut walls = shared.walls.subscribe();
     let mut state = shared.state.subscribe();

@@ -6,7 +6,7 @@
 
 use std::net::SocketAddr;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread::JoinHandle;
 
@@ -71,6 +71,8 @@ pub(crate) struct Shared {
     pub walls: watch::Sender<Bytes>,
     pub state: watch::Sender<String>,
     pub commands: SyncSender<Command>,
+    /// Whether anybody has ever come to look.
+    pub is_seen: AtomicBool,
     /// Connections that want densities.
     pub density: AtomicUsize,
     pub budget: Budget,
@@ -109,6 +111,7 @@ impl Server {
             walls: watch::Sender::default(),
             state: watch::Sender::default(),
             commands,
+            is_seen: AtomicBool::new(false),
             density: AtomicUsize::new(0),
             budget: Budget::new(),
             places: Arc::new(Semaphore::new(MOST_CONNECTIONS)),

@@ -53,12 +53,14 @@ Examples:
   fluvia view out/dam_break
   fluvia view data/valid/sim_0206
 
-The page is at http://127.0.0.1:8642/ until Ctrl-C. All that look at it see the same and steer the same. A name of a
-shipped scene (dam_break, two_bodies, emitter_step, obstacle_course) is that scene; ./dam_break is a directory.
-From another machine: ssh -L 8642:127.0.0.1:8642 HOST, then the same address.")]
+The page is at http://127.0.0.1:8642/ until Ctrl-C; what it shows begins when somebody looks. All that look at it see
+the same and steer the same: on a machine that others use, they can too. A name of a shipped scene (dam_break,
+two_bodies, emitter_step, obstacle_course, river, waterfall, three_viscosities, hundred_thousand) is that scene;
+./dam_break is a directory. From another machine: ssh -L 8642:127.0.0.1:8642 HOST, then the same address.")]
 pub struct Args {
     /// A scene to run: a file (JSON) or the name of a shipped scene; or frames to show: the directory of a run, or a
     /// sequence of a data set (its folder, a part file, or the common prefix of its parts). dam_break if not given.
+    #[arg(value_name = "SCENE|FRAMES")]
     show: Option<String>,
     /// The port; 0 finds a free one.
     #[arg(long, value_name = "P", default_value_t = PORT)]

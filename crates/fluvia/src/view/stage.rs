@@ -1,6 +1,9 @@
 //! The thread that decides what everybody sees: it keeps time, obeys, and publishes.
+//!
+//! Commands are carried out in the order in which they came. Every step is published, so that a row of them is seen as such.
 
-use std::sync::mpsc::{Receiver, RecvTimeoutError};
+use std::collections::VecDeque;
+use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, bail};
@@ -19,7 +22,7 @@ pub trait Show {
     /// Whether frames can be left out.
     fn can_skip(&self) -> bool;
 
-    /// Goes so many frames on, or back; one on where none can be left out.
+    /// Goes so many frames on, or back; where none can be left out it is asked for one.
     fn advance(&mut self, frames: i64) -> Result<()>;
 
     /// Whether there is nothing to advance to.
@@ -50,12 +53,19 @@ const IDLE: Duration = Duration::from_secs(3600);
 /// Frames that are left out at a time at most: more is no lag but a machine that slept.
 const MOST_BEHIND: f64 = 100.0;
 
+/// Commands that are taken from the server at most before those that were taken are carried out.
+const MOST_WAITING: usize = 64;
+
 /// The thread's state.
 pub struct Stage<S> {
     server: Server,
     commands: Receiver<Command>,
+    /// What has come and was not carried out yet.
+    waiting: VecDeque<Command>,
     show: S,
     playing: bool,
+    /// Whether anybody has come to look: time does not pass before.
+    is_seen: bool,
     /// Simulated seconds in a second; none: as fast as possible.
     speed: Option<f64>,
     /// When the next frame is due.
@@ -65,30 +75,50 @@ pub struct Stage<S> {
 
 impl<S: Show> Stage<S> {
     pub fn new(server: Server, commands: Receiver<Command>, show: S, playing: bool) -> Stage<S> {
-        Stage { server, commands, show, playing, speed: Some(1.0), due: Instant::now(), message: None }
+        Stage {
+            server,
+            commands,
+            waiting: VecDeque::new(),
+            show,
+            playing,
+            is_seen: false,
+            speed: Some(1.0),
+            due: Instant::now(),
+            message: None,
+        }
     }
 
-    /// Runs until there is no server any more.
+    /// Runs for as long as the process does.
     pub fn run(&mut self) {
         self.server.publish_walls(&self.show.walls());
-        self.publish_frame();
-        self.publish_state();
-        // Nobody has seen the first frame yet.
-        self.due = Instant::now() + self.interval();
+        self.publish();
         loop {
-            let wait = if self.playing { self.due.saturating_duration_since(Instant::now()) } else { IDLE };
-            match self.commands.recv_timeout(wait) {
-                Ok(first) => {
-                    let rest: Vec<Command> = self.commands.try_iter().collect();
-                    self.obey_all(std::iter::once(first).chain(rest));
-                }
-                Err(RecvTimeoutError::Timeout) => {}
-                Err(RecvTimeoutError::Disconnected) => return,
+            // Else nothing came in time: the other end is with the server, which is ours.
+            if let Ok(first) = self.commands.recv_timeout(self.wait()) {
+                self.waiting.push_back(first);
+                self.take();
+                self.obey_all();
             }
-            if self.playing && self.due <= Instant::now() {
+            if self.passes() && self.due <= Instant::now() {
                 self.go_on();
             }
         }
+    }
+
+    /// Whether time passes.
+    fn passes(&self) -> bool {
+        self.playing && self.is_seen
+    }
+
+    /// How long there is nothing to do but to obey.
+    fn wait(&self) -> Duration {
+        if self.passes() { self.due.saturating_duration_since(Instant::now()) } else { IDLE }
+    }
+
+    /// Takes the commands that have come.
+    fn take(&mut self) {
+        let room = MOST_WAITING.saturating_sub(self.waiting.len());
+        self.waiting.extend(self.commands.try_iter().take(room));
     }
 
     /// The time between frames.
@@ -108,22 +138,32 @@ impl<S: Show> Stage<S> {
             self.say(true, one_line(&error));
         }
         self.playing &= !self.show.is_over();
-        self.publish_frame();
-        self.publish_state();
+        self.publish();
     }
 
-    fn obey_all(&mut self, commands: impl Iterator<Item = Command>) {
-        let mut commands = commands.peekable();
-        while let Some(command) = commands.next() {
-            if commands.peek().is_some_and(|later| command.is_replaced_by(later)) {
+    /// Carries out what waits.
+    fn obey_all(&mut self) {
+        let mut is_published = true;
+        while let Some(command) = self.waiting.pop_front() {
+            if self.waiting.front().is_some_and(|later| command.is_replaced_by(later)) {
                 continue;
             }
             if let Err(error) = self.obey(&command) {
                 self.say(true, one_line(&error));
             }
+            is_published = match command {
+                // Who comes is given what there is.
+                Command::Look => is_published,
+                Command::Step { .. } => {
+                    self.publish();
+                    true
+                }
+                _ => false,
+            };
         }
-        self.publish_frame();
-        self.publish_state();
+        if !is_published {
+            self.publish();
+        }
     }
 
     fn obey(&mut self, command: &Command) -> Result<()> {
@@ -136,15 +176,17 @@ impl<S: Show> Stage<S> {
                 self.due = Instant::now() + self.interval();
             }
             Command::Pause => self.playing = false,
-            Command::Step { by } => {
-                self.playing = false;
-                self.show.advance(by.into())?;
-            }
+            Command::Step { by } => self.step(by)?,
             Command::Speed { factor } => {
                 if let Some(factor) = factor.filter(|factor| !SPEEDS.contains(factor)) {
                     bail!("speed {factor}, expected {} to {}", SPEEDS.start(), SPEEDS.end());
                 }
                 self.speed = factor;
+                self.due = Instant::now() + self.interval();
+            }
+            Command::Look => {
+                // The first frame is seen from now on.
+                self.is_seen = true;
                 self.due = Instant::now() + self.interval();
             }
             Command::Refresh => {}
@@ -158,17 +200,33 @@ impl<S: Show> Stage<S> {
         Ok(())
     }
 
+    /// So many frames on, or back, and stands still.
+    fn step(&mut self, by: i32) -> Result<()> {
+        self.playing = false;
+        if by < 0 || self.show.can_skip() {
+            return self.show.advance(by.into());
+        }
+        if by == 0 {
+            return Ok(());
+        }
+        self.show.advance(1)?;
+        // Each step may take seconds: the others come next, unless somebody has thought better of it.
+        self.take();
+        let ends = |command: &Command| matches!(command, Command::Play | Command::Pause | Command::Reset);
+        if by > 1 && !self.show.is_over() && !self.waiting.iter().any(ends) {
+            self.waiting.push_front(Command::Step { by: by - 1 });
+        }
+        Ok(())
+    }
+
     fn say(&mut self, is_error: bool, text: String) {
         let number = self.message.as_ref().map_or(0, |message| message.number) + 1;
         self.message = Some(Message { number, is_error, text });
     }
 
-    fn publish_frame(&mut self) {
+    fn publish(&mut self) {
         let frame = self.show.frame(self.server.wants_density());
         self.server.publish_frame(&frame);
-    }
-
-    fn publish_state(&mut self) {
         if let Some(news) = self.show.news() {
             self.say(false, news);
         }
@@ -217,6 +275,7 @@ mod tests {
         at: i64,
         skips: bool,
         sought: Vec<usize>,
+        shown: Vec<i64>,
     }
 
     impl Show for Ten {
@@ -255,6 +314,7 @@ mod tests {
         }
 
         fn frame(&mut self, _: bool) -> Frame<'_> {
+            self.shown.push(self.at);
             Frame { number: self.at as u64, ..Frame::default() }
         }
 
@@ -265,7 +325,49 @@ mod tests {
 
     fn stage(skips: bool) -> Stage<Ten> {
         let (server, commands) = Server::start(SocketAddr::from((Ipv4Addr::LOCALHOST, 0))).unwrap();
-        Stage::new(server, commands, Ten { at: 0, skips, sought: Vec::new() }, true)
+        Stage::new(server, commands, Ten { at: 0, skips, sought: Vec::new(), shown: Vec::new() }, true)
+    }
+
+    /// Obeys what came at once.
+    fn obey<const N: usize>(stage: &mut Stage<Ten>, commands: [Command; N]) {
+        stage.waiting.extend(commands);
+        stage.obey_all();
+    }
+
+    #[test]
+    fn time_begins_when_somebody_looks() {
+        let mut stage = stage(true);
+        assert!(!stage.passes() && stage.wait() == IDLE);
+        // Who looks at a frame that has waited for an hour sees that one first.
+        stage.due = Instant::now() - Duration::from_secs(3600);
+        obey(&mut stage, [Command::Look]);
+        assert!(stage.passes() && stage.due > Instant::now());
+        assert!(stage.wait() <= stage.interval());
+        assert_eq!(stage.show.shown, [0; 0], "what is there is given to who comes");
+        // It stands still until somebody presses play where it was told to.
+        stage.is_seen = false;
+        stage.playing = false;
+        obey(&mut stage, [Command::Look]);
+        assert!(!stage.passes());
+    }
+
+    #[test]
+    fn every_step_is_shown_until_somebody_thinks_better_of_it() {
+        let step = |by| Command::Step { by };
+        let mut slow = stage(false);
+        obey(&mut slow, [step(3), step(1), step(0)]);
+        assert_eq!(slow.show.shown, [1, 2, 3, 4, 4]);
+        assert!(!slow.playing);
+        obey(&mut slow, [step(5), Command::Pause]);
+        assert_eq!(slow.show.at, 5);
+        // There is an end to it.
+        slow.show.shown.clear();
+        obey(&mut slow, [step(i32::MAX)]);
+        assert_eq!(slow.show.shown, [6, 7, 8, 9]);
+        // Where frames can be left out one is sought.
+        let mut fast = stage(true);
+        obey(&mut fast, [step(3), step(1), step(-2)]);
+        assert_eq!(fast.show.shown, [3, 4, 2]);
     }
 
     #[test]
@@ -303,7 +405,7 @@ mod tests {
         let gravity = Command::Gravity { to: [0.0; 3] };
         let commands =
             [seek(1), seek(2), Command::Step { by: 1 }, seek(3), gravity.clone(), gravity, seek(4)];
-        stage.obey_all(commands.into_iter());
+        obey(&mut stage, commands);
         assert_eq!((stage.show.sought.as_slice(), stage.show.at), (&[2, 3, 4][..], 1));
         assert!(!stage.playing, "a step stands still");
         let message = stage.message.clone().unwrap();

@@ -122,3 +122,15 @@ fn completions_exist_for_every_shell() {
     }
     assert!(folder.succeed("--version").stdout.starts_with("fluvia "));
 }
+
+/// The names in the help are those that there are.
+#[test]
+fn help_names_every_shipped_scene() {
+    let folder = Folder::new();
+    for command in ["simulate", "view"] {
+        let help = folder.succeed(&format!("{command} --help")).stdout;
+        for name in fluvia_sim::scene::shipped_names() {
+            assert!(help.contains(name), "{command} --help does not name {name}");
+        }
+    }
+}

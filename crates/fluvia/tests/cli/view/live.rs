@@ -40,6 +40,11 @@ fn it_runs_pauses_steps_and_begins_again() {
     // It stands still: the next frame is that of the next step.
     client.send(json!({"do": "step", "by": 1}));
     assert_eq!(client.frame().number, 2);
+    // So many as were asked for, and no more.
+    client.send(json!({"do": "step", "by": 5}));
+    client.until_frame("it has stepped", |frame| frame.number == 7);
+    client.send(json!({"do": "step", "by": 0}));
+    assert_eq!(client.frame().number, 7);
     client.send(json!({"do": "speed", "factor": null}));
     client.send(json!({"do": "play"}));
     let later = client.until_frame("it has run", |frame| frame.number > 30);

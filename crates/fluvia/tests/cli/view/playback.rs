@@ -42,6 +42,18 @@ fn runs_of_every_format_are_gone_through() {
 }
 
 #[test]
+fn it_begins_when_somebody_looks() {
+    let folder = Folder::new();
+    // A frame a second: three would have passed.
+    let view = View::start(&folder, &format!("{} --dt 1", sequence("plain/fall")));
+    std::thread::sleep(std::time::Duration::from_secs(3));
+    let mut client = view.connect();
+    assert_eq!(client.frame().number, 0);
+    assert_eq!(client.until("it runs", |_| true)["playing"], true);
+    client.until_frame("time passes", |frame| frame.number > 0);
+}
+
+#[test]
 fn it_plays_to_the_end_and_from_the_beginning() {
     let folder = Folder::new();
     let view = View::start(&folder, &format!("{} --paused", sequence("plain/fall")));
