@@ -75,6 +75,8 @@ pub struct PanelState {
     pub solver: Option<String>,
     /// Why it stands still.
     pub error: Option<String>,
+    /// What is to be known of it while it runs.
+    pub warning: Option<String>,
 }
 
 /// A solver that could be chosen.

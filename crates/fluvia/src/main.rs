@@ -29,6 +29,7 @@ mod surface;
 mod train;
 mod trained;
 mod view;
+mod warnings;
 
 use std::process::ExitCode;
 

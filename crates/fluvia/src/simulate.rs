@@ -9,7 +9,7 @@ use anyhow::{Context, Result};
 use cconv::Kernel;
 use fluvia_sim::frames::{Format, Mode, RunDirectory};
 
-use fluvia_sim::rollout::{Rollout, Solver, StepReport};
+use fluvia_sim::rollout::{Rollout, Solver};
 use fluvia_sim::scene::{DEFAULT_DT, Setup};
 
 use crate::interrupt;
@@ -19,6 +19,7 @@ use crate::report::{Report, counted};
 use crate::resume;
 use crate::solvers::{Choice, SolverName};
 use crate::trained;
+use crate::warnings::Warned;
 
 /// Options of `fluvia simulate`.
 #[derive(clap::Args)]
@@ -226,40 +227,6 @@ fn simulate(args: &Args, report: &Report, prepared: Prepared) -> Result<ExitCode
         return Ok(interrupt::exit_code());
     }
     Ok(ExitCode::SUCCESS)
-}
-
-/// Which warnings have been given: each comes once a run.
-#[derive(Default)]
-struct Warned {
-    outside: bool,
-    piled_up: bool,
-    removed: bool,
-    unconverged: bool,
-}
-
-impl Warned {
-    /// The warnings that this step gives for the first time.
-    fn new_ones(&mut self, step: &StepReport) -> Vec<String> {
-        let frame = step.frame;
-        let mut warnings = Vec::new();
-        if step.outside > 0 && !std::mem::replace(&mut self.outside, true) {
-            warnings.push(format!("step {frame}: {} outside the walls", counted(step.outside, "particle")));
-        }
-        if step.removed > 0 && !std::mem::replace(&mut self.removed, true) {
-            let particles = counted(step.removed, "particle");
-            warnings.push(format!("step {frame}: {particles} removed, fallen out of the scene"));
-        }
-        if step.solver.unconverged > 0 && !std::mem::replace(&mut self.unconverged, true) {
-            warnings.push(format!("step {frame}: the solver stopped at its limit of iterations"));
-        }
-        if step.piled_up && !std::mem::replace(&mut self.piled_up, true) {
-            warnings.push(format!(
-                "step {frame}: particles pile up: one has {} neighbours within {} m",
-                step.solver.max_neighbors, step.solver.neighbor_radius
-            ));
-        }
-        warnings
-    }
 }
 
 fn describe(summary: &Summary, out: &Path) -> String {

@@ -107,10 +107,19 @@ pub fn check_pbf(scene: &Scene) -> Result<()> {
 pub fn recorded_for_pbf(path: &Path, setup: &Setup) -> Result<()> {
     // It has no viscosity: that of water is as good as none.
     let water = Liquid::default().viscosity;
-    match materials(setup).filter_map(|material| material.viscosity).find(|value| *value > water) {
-        Some(value) => bail!("{}: viscosity {value}, {NOT_PBF}", path.display()),
-        None => Ok(()),
+    if let Some(value) =
+        materials(setup).filter_map(|material| material.viscosity).find(|value| *value > water)
+    {
+        bail!("{}: viscosity {value}, {NOT_PBF}", path.display());
     }
+    let densities: Vec<f32> = materials(setup).map(|material| liquid(material).density).collect();
+    if let Some([one, other]) = densities.windows(2).find(|pair| pair[0] != pair[1]) {
+        bail!(
+            "{}: densities {one} and {other} kg/m³, but the solver pbf needs the same density in all fluids",
+            path.display()
+        );
+    }
+    Ok(())
 }
 
 /// A density, if one is given.

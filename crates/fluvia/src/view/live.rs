@@ -3,21 +3,21 @@
 //! What is changed (gravity, viscosity, where emitters are) is changed in the set-up as well, so that it stays when the
 //! scene begins again; what was poured in is gone then. All panels get the same changes.
 
+mod bodies;
+
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use anyhow::{Context, Result, anyhow, bail};
+use anyhow::{Context, Result, bail};
 use cconv::Kernel;
 use fluvia_sim::dfsph::Liquid;
 use fluvia_sim::kernel::{CubicSpline, SUPPORT_IN_RADII, wall_volumes};
-use fluvia_sim::metrics::{Bounds, density_ratios_within};
+use fluvia_sim::metrics::density_ratios_within;
 use fluvia_sim::pour::{Ray, Room};
 use fluvia_sim::rollout::{Rollout, Solver};
-use fluvia_sim::sampling::sample_volume;
 use fluvia_sim::scene::{DEFAULT_DT, Emitter, Setup, up};
-use fluvia_sim::shapes::Shape;
 use fluvia_view::walls::Walls;
-use fluvia_view::{Body, Command, Form, Frame, Mode, PanelState, Range, Recording, State};
+use fluvia_view::{Command, Frame, Mode, PanelState, Range, Recording, State};
 
 use super::Args;
 use super::menu::Menu;
@@ -27,18 +27,6 @@ use super::stage::{Show, blank};
 use super::surfaces;
 use crate::record::{self, Source, decimal};
 use crate::report::{Report, counted};
-
-/// What was poured in, as the name of a body.
-const POURED: &str = "poured";
-
-/// How far above the place that was pointed at a body begins to fall, metres.
-const FALL: f32 = 0.3;
-
-/// The sizes of bodies that can be dropped, metres.
-const SIZES: std::ops::RangeInclusive<f32> = 0.1..=2.0;
-
-/// Nothing more is poured into a scene of so many particles: a step would take seconds.
-const MOST_PARTICLES: usize = 500_000;
 
 /// The strongest gravity along an axis, metres per second squared: twelve times that of the Earth.
 const MOST_GRAVITY: f32 = 120.0;
@@ -59,7 +47,8 @@ pub struct Live {
     menu: Menu,
     panels: Vec<Panel>,
     recorder: Arc<Recorder>,
-    news: Option<String>,
+    /// What has happened and was not told yet.
+    news: Vec<String>,
 }
 
 impl Live {
@@ -80,18 +69,7 @@ impl Live {
         for warning in setup.warnings() {
             report.warning(warning);
         }
-        let poured = Emitter {
-            source: POURED.into(),
-            path: None,
-            position: Vec::new(),
-            velocity: Vec::new(),
-            unused_velocity: None,
-            start: 0,
-            stop: 0,
-            step: 1,
-            material: scene.material,
-        };
-        setup.emitters.push(poured);
+        setup.emitters.push(bodies::poured(&scene));
         let kernel = Kernel::detect();
         let solver = first.make(&setup, kernel).with_context(|| name.to_owned())?;
         let panels = vec![Panel::new(0, solver, Rollout::new(&setup)?)];
@@ -111,7 +89,7 @@ impl Live {
             menu,
             panels,
             recorder,
-            news: None,
+            news: Vec::new(),
         })
     }
 
@@ -128,50 +106,26 @@ impl Live {
     }
 
     fn reset(&mut self) -> Result<()> {
+        let had_failed = self.is_over();
         self.stop_recording()?;
         let rollout = Rollout::new(&self.setup)?;
         self.panels.iter_mut().for_each(|panel| panel.restart(rollout.clone()));
+        if had_failed {
+            // Who pressed play may have expected it to go on.
+            self.news.push("the scene begins again".into());
+        }
         Ok(())
     }
 
-    fn drop_body(&mut self, panel: usize, ray: Ray, body: Body) -> Result<()> {
-        if !SIZES.contains(&body.size) {
-            bail!("a body of {} m, expected {} to {}", body.size, SIZES.start(), SIZES.end());
-        }
-        let (name, shape) = match body.form {
-            Form::Cube => ("cube", Shape::Box),
-            Form::Ball => ("ball", Shape::Sphere),
-        };
-        let mesh = shape.mesh().map(|x| x.map(|x| x * decimal(body.size)));
-        let particles =
-            sample_volume(&mesh, self.setup.particle_radius).map_err(|fault| anyhow!("{name}: {fault}"))?;
-        if self.panel(panel)?.position().len() + particles.len() > MOST_PARTICLES {
-            bail!("{MOST_PARTICLES} particles are the most that are poured");
-        }
-        let hit =
-            self.room.hit(ray, self.panels[panel].position()).context("there is nothing to drop it on")?;
-        let fluids: Vec<&[[f32; 3]]> = self.panels.iter().map(Panel::position).collect();
-        let place = self.room.place(&particles, hit, up(self.setup.gravity), FALL, &fluids);
-        let Some(place) = place else { bail!("no room there for a {name} of {:.2} m", body.size) };
-        let particles: Vec<_> = particles.iter().map(|x| [0, 1, 2].map(|a| x[a] + place[a])).collect();
-        let poured = self.setup.emitters.len() - 1;
-        self.panels.iter_mut().try_for_each(|panel| panel.add(&particles, poured))?;
-        self.recorder.note(&format!("a {name} of {} m dropped at {place:?}", body.size));
-        Ok(())
-    }
-
-    fn move_emitter(&mut self, index: usize, to: [f32; 3]) -> Result<()> {
-        let movable = self.setup.emitters.iter().enumerate().filter(|(_, emitter)| is_movable(emitter));
-        let (index, emitter) = movable.clone().nth(index).context("there is no such emitter")?;
-        let middle = middle(emitter);
-        let by = [0, 1, 2].map(|a| to[a] - middle[a]);
-        let moved: Vec<_> = emitter.position.iter().map(|x| [0, 1, 2].map(|a| x[a] + by[a])).collect();
-        if !moved.iter().flatten().all(|x| x.is_finite()) || !self.room.allows(&moved) {
-            bail!("no room there for the emitter");
-        }
-        self.panels.iter_mut().try_for_each(|panel| panel.rollout.move_emitter(index, by))?;
-        self.setup.emitters[index].position = moved;
-        self.recorder.note(&format!("emitter {index} moved to {to:?}"));
+    /// Brings a picture that has stood still to where the other is: what is side by side is the same moment.
+    fn catch_up(&mut self, index: usize) -> Result<()> {
+        let step = |k: usize| self.panels[k].rollout.state().step;
+        let Some(ahead) = (0..self.panels.len()).find(|&k| step(k) > step(index)) else { return Ok(()) };
+        let rollout = self.panels[ahead].rollout.clone();
+        // Frames of the same number would be of different moments.
+        self.stop_recording()?;
+        self.panels[index].catch_up(rollout);
+        self.news.push(format!("picture {} goes on from picture {}", index + 1, ahead + 1));
         Ok(())
     }
 
@@ -181,7 +135,7 @@ impl Live {
         }
         self.panels.iter_mut().try_for_each(|panel| panel.rollout.set_gravity(to))?;
         self.setup.gravity = to;
-        self.recorder.note(&format!("gravity {to:?} m/s²"));
+        self.recorder.note(&format!("gravity {to:?} m/s²"), Some("gravity"));
         Ok(())
     }
 
@@ -189,7 +143,11 @@ impl Live {
         let before: Vec<_> = self.setup.emitters.iter().map(|emitter| emitter.material).collect();
         self.setup.emitters.iter_mut().for_each(|emitter| emitter.material.viscosity = Some(to));
         let solvers = self.panels.iter().map(|panel| self.make(panel.offer)).collect::<Result<Vec<_>>>();
-        let solvers = match solvers {
+        let ready = solvers.and_then(|solvers| {
+            (0..self.panels.len()).try_for_each(|k| self.catch_up(k))?;
+            Ok(solvers)
+        });
+        let solvers = match ready {
             Ok(solvers) => solvers,
             Err(error) => {
                 self.setup.emitters.iter_mut().zip(before).for_each(|(emitter, old)| emitter.material = old);
@@ -197,7 +155,7 @@ impl Live {
             }
         };
         self.panels.iter_mut().zip(solvers).for_each(|(panel, solver)| panel.change(panel.offer, solver));
-        self.recorder.note(&format!("viscosity {to}"));
+        self.recorder.note(&format!("viscosity {to}"), Some("viscosity"));
         Ok(())
     }
 
@@ -205,8 +163,10 @@ impl Live {
         self.panel(index)?;
         let offer = self.menu.find(name).with_context(|| format!("no solver {name}"))?;
         let solver = self.make(offer)?;
+        self.catch_up(index)?;
         self.panels[index].change(offer, solver);
-        self.recorder.note(&format!("solver {name} in picture {}", index + 1));
+        let thing = format!("picture {}: solver", index + 1);
+        self.recorder.note(&format!("{thing} {name}"), Some(&thing));
         Ok(())
     }
 
@@ -254,7 +214,7 @@ impl Live {
             .map(|(directory, frames)| format!("{} ({})", directory.display(), counted(*frames, "frame")))
             .collect();
         if !told.is_empty() {
-            self.news = Some(format!("recorded {}", told.join(", ")));
+            self.news.push(format!("recorded {}", told.join(", ")));
         }
         Ok(())
     }
@@ -305,7 +265,7 @@ impl Show for Live {
         if frames < 0 {
             bail!("a simulation does not run backwards");
         }
-        let stepped = self.panels.iter_mut().map(Panel::advance).filter(Option::is_some).count();
+        let stepped = self.panels.iter_mut().map(Panel::advance).filter(|stepped| *stepped).count();
         if stepped == 0 {
             return Ok(());
         }
@@ -337,7 +297,8 @@ impl Show for Live {
     }
 
     fn news(&mut self) -> Option<String> {
-        self.news.take()
+        let news = std::mem::take(&mut self.news).join("; ");
+        (!news.is_empty()).then_some(news)
     }
 
     fn frame(&mut self, with_density: bool) -> Frame<'_> {
@@ -356,13 +317,20 @@ impl Show for Live {
     fn describe(&self) -> State {
         let panel = |panel: &Panel| {
             let offer = self.menu.get(panel.offer);
-            let error = panel.error.clone();
-            PanelState { label: offer.label.clone(), solver: Some(offer.name.clone()), error }
+            let materials = self.setup.emitters.iter().map(|emitter| emitter.material);
+            let advice = offer.choice.warning(&self.path, materials);
+            let warnings: Vec<String> = advice.into_iter().chain(panel.warnings.clone()).collect();
+            PanelState {
+                label: offer.label.clone(),
+                solver: Some(offer.name.clone()),
+                error: panel.error.clone(),
+                warning: (!warnings.is_empty()).then(|| warnings.join("; ")),
+            }
         };
         let step = self.panels.iter().map(|panel| panel.rollout.state().step).max().unwrap_or(0);
         let emitter = |emitter: &Emitter| fluvia_view::Emitter {
             label: emitter.source.clone(),
-            position: middle(emitter),
+            position: bodies::middle(emitter),
             active: emitter.stop > step,
         };
         State {
@@ -376,20 +344,140 @@ impl Show for Live {
             viscosities: self.viscosities(),
             panels: self.panels.iter().map(panel).collect(),
             solvers: self.menu.describe(&self.path, &self.setup),
-            emitters: self.setup.emitters.iter().filter(|e| is_movable(e)).map(emitter).collect(),
+            emitters: self.setup.emitters.iter().filter(|e| bodies::is_movable(e)).map(emitter).collect(),
             recording: self.recorder.directories().map(|directories| Recording { directories }),
             ..blank(Mode::Live)
         }
     }
 }
 
-/// Whether an emitter gives more than once.
-fn is_movable(emitter: &Emitter) -> bool {
-    !emitter.position.is_empty() && emitter.stop > emitter.start.saturating_add(emitter.step)
-}
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+    use fluvia_sim::particles::{Acceleration, Particles};
+    use fluvia_sim::rollout::StepInfo;
 
-/// The middle of what an emitter gives, metres.
-fn middle(emitter: &Emitter) -> [f32; 3] {
-    let bounds = Bounds::of(&emitter.position);
-    bounds.map_or([0.0; 3], |Bounds { low, high }| [0, 1, 2].map(|a| 0.5 * (low[a] + high[a])))
+    use super::*;
+
+    #[derive(Parser)]
+    struct Line {
+        #[command(flatten)]
+        args: Args,
+    }
+
+    /// A scene in a container, with these keys of its fluid; recordings go below the folder.
+    fn live(folder: &tempfile::TempDir, fluid: &str, arguments: &str) -> Live {
+        let path = folder.path().join("scene.json");
+        let wall = r#"{"shape": "container", "scale": [0.5, 0.8, 0.5]}"#;
+        let fluid = format!(r#"{{"shape": "box", "scale": 0.2, "translation": [0, 0.3, 0]{fluid}}}"#);
+        std::fs::write(&path, format!(r#"{{"walls": [{wall}], "fluids": [{fluid}]}}"#)).unwrap();
+        let line = Line::parse_from(["view"].into_iter().chain(arguments.split(' ')));
+        let recorder = Arc::new(Recorder::new(Some(folder.path()), &[]));
+        Live::new(&line.args, path.to_str().unwrap(), recorder, &Report::new(true, false)).unwrap()
+    }
+
+    fn steps(live: &Live) -> Vec<u64> {
+        live.panels.iter().map(|panel| panel.rollout.state().step).collect()
+    }
+
+    /// Throws a particle out of the numbers in its first step.
+    struct Explodes;
+
+    impl Solver for Explodes {
+        fn name(&self) -> &'static str {
+            "explodes"
+        }
+
+        fn step(
+            &mut self,
+            particles: &mut Particles,
+            _: Acceleration<'_>,
+            _: f32,
+        ) -> fluvia_sim::Result<StepInfo> {
+            particles.position[0][1] = f32::NAN;
+            Ok(StepInfo::default())
+        }
+    }
+
+    #[test]
+    fn what_stood_still_goes_on_beside_the_other() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut live = live(&folder, "", "--solver pbf");
+        live.obey(&Command::Compare { on: true }).unwrap();
+        live.panels[1].solver = Box::new(Explodes);
+        live.obey(&Command::Record { on: true }).unwrap();
+        (0..3).for_each(|_| live.advance(1).unwrap());
+        assert_eq!(steps(&live), [3, 0]);
+        assert!(live.panels[1].error.is_some() && !live.is_over());
+        live.obey(&Command::Solver { panel: 1, name: "dfsph".into() }).unwrap();
+        assert_eq!(steps(&live), [3, 3]);
+        assert_eq!(live.panels[0].position(), live.panels[1].position());
+        assert!(live.panels[1].error.is_none() && live.recorder.directories().is_none());
+        let news = live.news().unwrap();
+        assert!(news.contains("(4 frames)") && news.contains("(1 frame)"), "{news}");
+        assert!(news.ends_with("picture 2 goes on from picture 1"), "{news}");
+        live.advance(1).unwrap();
+        assert_eq!(steps(&live), [4, 4]);
+        // One that is not behind goes on from where it is, and is still recorded.
+        live.obey(&Command::Record { on: true }).unwrap();
+        live.obey(&Command::Solver { panel: 1, name: "pbf".into() }).unwrap();
+        assert!(live.news().is_none() && live.recorder.directories().is_some());
+    }
+
+    #[test]
+    fn what_begins_again_after_a_failure_says_so() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut live = live(&folder, "", "--solver pbf");
+        live.advance(1).unwrap();
+        live.obey(&Command::Reset).unwrap();
+        assert!(live.news().is_none(), "it was asked for");
+        live.advance(1).unwrap();
+        live.panels[0].solver = Box::new(Explodes);
+        live.advance(1).unwrap();
+        assert!(live.is_over());
+        live.obey(&Command::Reset).unwrap();
+        assert_eq!((steps(&live), live.news().as_deref()), (vec![0], Some("the scene begins again")));
+    }
+
+    #[test]
+    fn what_is_poured_is_what_the_scene_is_of() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut live = live(&folder, r#", "viscosity": 0.1, "density": 800"#, "--solver dfsph");
+        let poured = live.setup.emitters.last().unwrap().material;
+        assert_eq!((poured.viscosity, poured.density), (Some(0.1), Some(800.0)));
+        assert_eq!(live.viscosity(), Some(0.1));
+        // What is thick surprises with long steps; thin as water it does not.
+        let warning = |live: &Live| live.describe().panels[0].warning.clone();
+        assert!(warning(&live).unwrap().contains("viscosity 0.1 acts once a step"));
+        live.obey(&Command::Viscosity { to: 0.01 }).unwrap();
+        assert_eq!(warning(&live), None);
+        live.obey(&Command::Viscosity { to: 0.2 }).unwrap();
+        assert!(warning(&live).unwrap().contains("viscosity 0.2"));
+    }
+
+    #[test]
+    fn a_slider_that_is_drawn_is_one_change() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut live = live(&folder, "", "--solver dfsph");
+        live.obey(&Command::Record { on: true }).unwrap();
+        let gravity = |y| Command::Gravity { to: [0.0, y, 0.0] };
+        for command in [gravity(-1.0), Command::Viscosity { to: 0.1 }, gravity(-2.0), gravity(-3.0)] {
+            live.obey(&command).unwrap();
+        }
+        live.advance(1).unwrap();
+        live.obey(&gravity(-4.0)).unwrap();
+        live.obey(&Command::Record { on: false }).unwrap();
+        let record = std::fs::read(folder.path().join("scene-001/run.json")).unwrap();
+        let record: serde_json::Value = serde_json::from_slice(&record).unwrap();
+        let changes = &record["live"]["changes"];
+        let change = |frame: u64, what: &str| serde_json::json!({"frame": frame, "what": what});
+        assert_eq!(
+            changes,
+            &serde_json::json!([
+                change(0, "viscosity 0.1"),
+                change(0, "gravity [0.0, -3.0, 0.0] m/s²"),
+                change(1, "gravity [0.0, -4.0, 0.0] m/s²"),
+            ])
+        );
+    }
 }

@@ -3,9 +3,10 @@
 use std::time::Instant;
 
 use anyhow::Result;
-use fluvia_sim::rollout::{Rollout, Solver, StepReport};
+use fluvia_sim::rollout::{Rollout, Solver};
 
 use crate::report::one_line;
+use crate::warnings::Warned;
 
 /// The part of the newest step in the mean time of a step: the mean of about the last second.
 const NEWEST: f64 = 0.05;
@@ -19,19 +20,31 @@ pub struct Panel {
     pub ms_per_step: f64,
     /// Why it stands still.
     pub error: Option<String>,
+    /// What went wrong without an end to it, since it began or another solver went on.
+    pub warnings: Vec<String>,
+    warned: Warned,
     /// Of the frame, if it is up to date.
     pub density: Vec<f32>,
 }
 
 impl Panel {
     pub fn new(offer: usize, solver: Box<dyn Solver + Send>, rollout: Rollout) -> Panel {
-        Panel { offer, solver, rollout, ms_per_step: 0.0, error: None, density: Vec::new() }
+        Panel {
+            offer,
+            solver,
+            rollout,
+            ms_per_step: 0.0,
+            error: None,
+            warnings: Vec::new(),
+            warned: Warned::default(),
+            density: Vec::new(),
+        }
     }
 
-    /// Takes a step, unless one has failed; a failure is kept.
-    pub fn advance(&mut self) -> Option<StepReport> {
+    /// Takes a step, unless one has failed; a failure is kept. Whether it did.
+    pub fn advance(&mut self) -> bool {
         if self.error.is_some() {
-            return None;
+            return false;
         }
         let start = Instant::now();
         match self.rollout.advance(self.solver.as_mut()) {
@@ -41,11 +54,12 @@ impl Panel {
                 self.ms_per_step =
                     if is_first { ms } else { ms * NEWEST + self.ms_per_step * (1.0 - NEWEST) };
                 self.density.clear();
-                Some(step)
+                self.warnings.extend(self.warned.new_ones(&step));
+                true
             }
             Err(error) => {
                 self.error = Some(one_line(&error.into()));
-                None
+                false
             }
         }
     }
@@ -55,13 +69,27 @@ impl Panel {
         if offer != self.offer {
             self.rollout.forget();
         }
-        (self.offer, self.solver, self.ms_per_step, self.error) = (offer, solver, 0.0, None);
+        (self.offer, self.solver, self.ms_per_step) = (offer, solver, 0.0);
+        self.forgive();
     }
 
     /// Begins again.
     pub fn restart(&mut self, rollout: Rollout) {
-        (self.rollout, self.error) = (rollout, None);
+        self.rollout = rollout;
         self.density.clear();
+        self.forgive();
+    }
+
+    /// Goes on from where another simulation is.
+    pub fn catch_up(&mut self, rollout: Rollout) {
+        self.restart(rollout);
+        self.rollout.forget();
+    }
+
+    /// What went wrong went wrong before.
+    fn forgive(&mut self) {
+        (self.error, self.warned) = (None, Warned::default());
+        self.warnings.clear();
     }
 
     /// Adds a body.
@@ -96,7 +124,7 @@ mod tests {
 
     use super::*;
 
-    /// Throws all particles out of the numbers in its third step.
+    /// Throws all particles out of the walls in its second step, and out of the numbers in its third.
     struct Explodes(u32);
 
     impl Solver for Explodes {
@@ -111,8 +139,10 @@ mod tests {
             _: f32,
         ) -> fluvia_sim::Result<StepInfo> {
             self.0 += 1;
-            if self.0 == 3 {
-                particles.position[0][1] = f32::NAN;
+            match self.0 {
+                2 => particles.position[0] = [9.0; 3],
+                3 => particles.position[0][1] = f32::NAN,
+                _ => {}
             }
             Ok(StepInfo::default())
         }
@@ -132,7 +162,7 @@ mod tests {
             material: Material::default(),
         };
         let setup = Setup {
-            boundary: Boundary::default(),
+            boundary: Boundary { position: vec![[-1.0; 3], [1.0; 3]], normal: vec![[0.0, 1.0, 0.0]; 2] },
             walls: Vec::new(),
             emitters: vec![emitter],
             gravity: [0.0; 3],
@@ -141,17 +171,23 @@ mod tests {
         };
         let rollout = Rollout::new(&setup).unwrap();
         let mut panel = Panel::new(0, Box::new(Explodes(0)), rollout.clone());
-        assert!((0..2).all(|_| panel.advance().is_some()));
-        assert!((0..3).all(|_| panel.advance().is_none()));
+        assert!(panel.advance() && panel.warnings.is_empty());
+        assert!(panel.advance());
+        assert_eq!(panel.warnings, ["step 2: 1 particle outside the walls"]);
+        assert!((0..3).all(|_| !panel.advance()));
         let error = panel.error.clone().unwrap();
         assert!(error.contains("step 3") && error.contains("position"), "{error}");
-        assert_eq!((panel.rollout.state().step, panel.position()), (2, &[[0.0; 3]][..]));
+        assert_eq!((panel.rollout.state().step, panel.position()), (2, &[[9.0; 3]][..]));
+        assert_eq!(panel.warnings.len(), 1, "they stay");
+        // Another solver begins with what it finds, which it is told of again.
         panel.change(1, Box::new(Explodes(9)));
-        assert!(panel.advance().is_some() && panel.error.is_none());
+        assert!(panel.warnings.is_empty());
+        assert!(panel.advance() && panel.error.is_none());
+        assert_eq!(panel.warnings, ["step 3: 1 particle outside the walls"]);
         panel.change(0, Box::new(Explodes(2)));
-        assert!(panel.advance().is_none() && panel.error.is_some());
+        assert!(!panel.advance() && panel.error.is_some());
         panel.restart(rollout);
-        assert!(panel.advance().is_some());
-        assert_eq!(panel.rollout.state().step, 1);
+        assert!(panel.warnings.is_empty() && panel.advance());
+        assert_eq!((panel.rollout.state().step, panel.warnings.len()), (1, 0));
     }
 }

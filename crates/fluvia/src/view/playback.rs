@@ -146,7 +146,7 @@ impl Show for Playback {
             scene_gravity: self.source.gravity,
             has_speeds: self.has_speeds,
             has_bodies: self.has_bodies,
-            panels: vec![PanelState { label: self.label.clone(), solver: None, error: None }],
+            panels: vec![PanelState { label: self.label.clone(), solver: None, error: None, warning: None }],
             ..blank(Mode::Playback)
         }
     }

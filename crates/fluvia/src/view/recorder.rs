@@ -155,11 +155,17 @@ impl Recorder {
         written
     }
 
-    /// Notes something that was changed.
-    pub fn note(&self, what: &str) {
+    /// Notes something that was changed. Of changes to one thing, whose texts all begin with it, the last before a frame
+    /// counts, as where a slider is drawn.
+    pub fn note(&self, what: &str, thing: Option<&str>) {
         for run in self.lock().iter_mut().flat_map(|recording| &mut recording.0) {
+            let frame = run.record.steps;
             if let Some(live) = &mut run.record.live {
-                live.changes.push(Change { frame: run.record.steps, what: what.to_owned() });
+                let stays = |change: &Change| {
+                    change.frame != frame || thing.is_none_or(|thing| !change.what.starts_with(thing))
+                };
+                live.changes.retain(stays);
+                live.changes.push(Change { frame, what: what.to_owned() });
             }
         }
     }

@@ -125,6 +125,8 @@ fn gravity_viscosity_and_solver_change_while_it_runs() {
     assert_eq!(floats(&json!([state["viscosities"]["low"], state["viscosities"]["high"]])), [0.0, 1.0]);
     client.send(json!({"do": "viscosity", "to": 0.125}));
     let state = client.until("it is thick", |state| state["viscosity"] == 0.125);
+    let warning = state["panels"][0]["warning"].as_str().unwrap();
+    assert!(warning.contains("viscosity 0.125 acts once a step"), "{warning}");
     // What knows water alone is not to be had for it.
     let refused = |k: usize| state["solvers"][k]["refused"].as_str().unwrap_or_default();
     assert!(refused(1).contains("made for 0.01") && refused(4).contains("viscosity"), "{state}");
@@ -144,6 +146,45 @@ fn gravity_viscosity_and_solver_change_while_it_runs() {
     let from = client.frame().number;
     let risen = client.until_frame("it has risen", |frame| frame.number > from + 60);
     assert!(risen.panels[0].mean[1] > 0.6, "{:?}", risen.panels[0].mean);
+}
+
+#[test]
+fn what_goes_wrong_is_told_beside_the_picture() {
+    let folder = Folder::new();
+    // Beside the walls, and from there down.
+    folder.write("scene.json", scene_of(r#""shape": "box", "scale": 0.2, "translation": [1, 0.3, 0]"#));
+    let view = View::start(&folder, "scene.json --solver pbf --paused");
+    let mut client = view.connect();
+    assert_eq!(client.until("there is one", |_| true)["panels"][0]["warning"], json!(null));
+    client.send(json!({"do": "step", "by": 1}));
+    let state = client.until("it is told", |state| !state["panels"][0]["warning"].is_null());
+    assert_eq!(state["panels"][0]["warning"], "step 1: 64 particles outside the walls");
+    client.send(json!({"do": "step", "by": 30}));
+    let state = client.until("more is told", |state| {
+        state["panels"][0]["warning"].as_str().is_some_and(|warning| warning.contains("removed"))
+    });
+    assert!(state["panels"][0]["error"].is_null(), "{state}");
+    client.send(json!({"do": "reset"}));
+    client.until("it is forgotten", |state| state["panels"][0]["warning"].is_null());
+}
+
+#[test]
+fn liquids_of_two_densities_are_not_for_every_solver() {
+    let folder = Folder::new();
+    let fluid = |x: f64, density: u32| {
+        format!(r#"{{"shape": "box", "scale": 0.2, "translation": [{x}, 0.3, 0], "density": {density}}}"#)
+    };
+    let walls = r#"[{"shape": "container", "scale": [0.8, 0.8, 0.5]}]"#;
+    let fluids = [fluid(-0.15, 1000), fluid(0.15, 500)].join(", ");
+    folder.write("scene.json", format!(r#"{{"walls": {walls}, "fluids": [{fluids}]}}"#));
+    let view = View::start(&folder, "scene.json --solver dfsph --paused");
+    let mut client = view.connect();
+    let state = client.until("there is one", |_| true);
+    let offers = state["solvers"].as_array().unwrap();
+    let pbf = offers.iter().find(|offer| offer["name"] == "pbf").unwrap();
+    assert!(pbf["refused"].as_str().unwrap().contains("densities 1000 and 500"), "{pbf}");
+    let said = client.answer(json!({"do": "solver", "panel": 0, "name": "pbf"}));
+    assert!(said.contains("the same density in all fluids"), "{said}");
 }
 
 #[test]
