@@ -185,11 +185,7 @@ function read(now) {
   if (!app.frame || now - app.lastRead < READ) return;
   app.lastRead = now;
   app.readouts.show(app.frame, app.connection);
-  if (app.state?.stored) {
-    const [first, last, count] = app.state.stored;
-    const place = last > first ? (app.frame.number - first) / (last - first) : 0;
-    app.controls.setSlider("scrub", Math.round(place * (count - 1)));
-  }
+  if (app.state?.stored) app.controls.setSlider("scrub", app.frame.index);
   const bodies = app.view.coloring === "body" ? countBodies(app.frame.panels) : 0;
   if (bodies !== (app.bodies ?? 0)) {
     app.bodies = bodies;

@@ -38,6 +38,7 @@ function decodeFrame(buffer) {
     number: view.getUint32(8, true),
     time: view.getFloat64(16, true),
     hasDensities: (view.getUint32(24, true) & 1) !== 0,
+    index: view.getUint32(28, true),
     bytes: buffer.byteLength,
     panels,
   };

@@ -1,7 +1,7 @@
 //! Frames on their way to the page, 10 bytes a particle: little endian, every part at a multiple of 8 bytes.
 //!
 //! ```text
-//! header, 32 bytes   "FLVF"; sequence, frame, panels u32; time f64, s; flags u32 (bit 0: densities); 0 u32
+//! header, 32 bytes   "FLVF"; sequence, frame, panels u32; time f64, s; flags u32 (bit 0: densities); index u32
 //! a panel, 48 bytes  particles u32; ms a step f32; low, high 3 f32 each, m; highest speed f32, m/s; mean 3 f32, m
 //! then of each panel
 //!   8 bytes a particle  x, y, z, speed u16: low + (high - low) x / 65535; highest speed * speed / 65535
@@ -22,6 +22,8 @@ const HAS_DENSITIES: u32 = 1;
 pub struct Frame<'a> {
     /// Its number in the simulation.
     pub number: u64,
+    /// Its place among the stored frames, whose numbers may have gaps; 0 where none are stored.
+    pub index: usize,
     /// Seconds since the simulation began.
     pub time: f64,
     /// What is side by side: one or two.
@@ -55,7 +57,7 @@ pub fn encode(frame: &Frame<'_>, sequence: u32) -> Vec<u8> {
     numbers.iter().for_each(|number| bytes.extend(number.to_le_bytes()));
     bytes.extend(frame.time.to_le_bytes());
     bytes.extend(if has_densities { HAS_DENSITIES } else { 0 }.to_le_bytes());
-    bytes.extend([0; 4]);
+    bytes.extend((frame.index as u32).to_le_bytes());
     let scales: Vec<Scale> = frame.panels.iter().map(Scale::of).collect();
     for (panel, scale) in frame.panels.iter().zip(&scales) {
         bytes.extend((panel.position.len() as u32).to_le_bytes());
@@ -130,6 +132,8 @@ pub struct Decoded {
     pub sequence: u32,
     /// The number of the frame in the simulation.
     pub number: u32,
+    /// Its place among the stored frames.
+    pub index: u32,
     /// Seconds.
     pub time: f64,
     /// Whether densities were computed.
@@ -166,8 +170,7 @@ pub fn decode(bytes: &[u8]) -> Result<Decoded, String> {
     }
     let [sequence, number, count] = [reader.u32()?, reader.u32()?, reader.u32()?];
     let time = f64::from_le_bytes(reader.take()?);
-    let flags = reader.u32()?;
-    reader.u32()?;
+    let [flags, index] = [reader.u32()?, reader.u32()?];
     if count > 2 {
         return Err(format!("{count} panels, expected one or two"));
     }
@@ -187,7 +190,7 @@ pub fn decode(bytes: &[u8]) -> Result<Decoded, String> {
     if reader.at != bytes.len() {
         return Err(format!("{} bytes, expected {}", bytes.len(), reader.at));
     }
-    Ok(Decoded { sequence, number, time, has_densities: flags & HAS_DENSITIES != 0, panels })
+    Ok(Decoded { sequence, number, index, time, has_densities: flags & HAS_DENSITIES != 0, panels })
 }
 
 fn decode_panel(
@@ -253,11 +256,11 @@ mod tests {
             ms_per_step: 12.5,
         };
         let second = Panel { position: &position[1..2], ..Panel::default() };
-        let frame = Frame { number: 7, time: 0.14, panels: vec![first, second] };
+        let frame = Frame { number: 7, index: 5, time: 0.14, panels: vec![first, second] };
         let bytes = encode(&frame, 3);
         assert_eq!(bytes.len(), 32 + 2 * 48 + (3 * 8 + 8) + (8 + 8));
         let decoded = decode(&bytes).unwrap();
-        assert_eq!((decoded.sequence, decoded.number, decoded.time), (3, 7, 0.14));
+        assert_eq!((decoded.sequence, decoded.number, decoded.index, decoded.time), (3, 7, 5, 0.14));
         assert!(decoded.has_densities);
         let panel = &decoded.panels[0];
         for (exact, found) in position.iter().zip(&panel.position) {

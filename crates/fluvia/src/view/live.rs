@@ -311,6 +311,7 @@ impl Show for Live {
             number,
             time: number as f64 * decimal(self.setup.dt),
             panels: self.panels.iter().map(|panel| panel.shown(with_density)).collect(),
+            ..Frame::default()
         }
     }
 

@@ -131,7 +131,9 @@ impl Show for Playback {
             body: self.particles.body.as_deref().unwrap_or_default(),
             ms_per_step: 0.0,
         };
-        Frame { number: self.number(), time: self.number() as f64 * self.source.dt, panels: vec![panel] }
+        let number = self.number();
+        let time = number as f64 * self.source.dt;
+        Frame { number, index: self.index, time, panels: vec![panel] }
     }
 
     fn describe(&self) -> State {

@@ -80,6 +80,27 @@ fn it_plays_to_the_end_and_from_the_beginning() {
 }
 
 #[test]
+fn frames_with_gaps_are_gone_through_by_their_places() {
+    let folder = Folder::new();
+    folder.write("scene.json", SCENE);
+    folder.succeed("simulate scene.json --solver pbf --steps 9 --out run");
+    for number in 1..=6 {
+        std::fs::remove_file(folder.path(&format!("run/fluid_{number:04}.npz"))).unwrap();
+    }
+    let view = View::start(&folder, "run --paused");
+    let mut client = view.connect();
+    let first = client.frame();
+    assert_eq!((first.number, first.index), (0, 0));
+    assert_eq!(client.until("there is one", |_| true)["stored"], json!([0, 9, 4]));
+    client.send(json!({"do": "seek", "index": 1}));
+    let sought = client.frame();
+    assert_eq!((sought.number, sought.index), (7, 1));
+    client.send(json!({"do": "step", "by": 2}));
+    let last = client.frame();
+    assert_eq!((last.number, last.index), (9, 3));
+}
+
+#[test]
 fn a_frame_that_has_gone_is_said_and_the_rest_is_shown() {
     let folder = Folder::new();
     folder.write("scene.json", SCENE);
