@@ -13,7 +13,7 @@ const speedName = (factor) => (factor === null ? "max" : `${{ 0.125: "⅛", 0.25
 const VISCOSITY_POWER = 3;
 
 export class Controls {
-  /** `app` has send, redraw, view, setColoring, setSurface, setTheme, resetView, resize and the last state. */
+  /** `app` has send, redraw, view, setColoring, setSurface, setTheme, resetView and the last state. */
   constructor(app) {
     this.app = app;
     this.held = new Set();
@@ -111,9 +111,10 @@ export class Controls {
   }
 
   changeSpeed(by) {
-    const index = SPEEDS.indexOf(this.app.state?.speed ?? null);
-    const next = Math.min(SPEEDS.length - 1, Math.max(0, index + by));
-    this.app.send({ do: "speed", factor: SPEEDS[next] });
+    const next = Math.min(SPEEDS.length - 1, Math.max(0, SPEEDS.indexOf(this.speed) + by));
+    // The program's word on it may come after the next press.
+    this.speed = SPEEDS[next];
+    this.app.send({ do: "speed", factor: this.speed });
   }
 
   nextColoring(by = 1) {
@@ -169,7 +170,7 @@ export class Controls {
   setSettings(on) {
     document.body.classList.toggle("settings", on);
     find("settings-toggle").setAttribute("aria-expanded", String(on));
-    this.app.resize();
+    this.app.redraw();
   }
 
   /** Shows the surface as something that this machine cannot do. */
@@ -179,6 +180,7 @@ export class Controls {
   }
 
   setState(state) {
+    this.speed = state.speed;
     const isPlaying = state.playing;
     find("play").setAttribute("aria-label", isPlaying ? "Pause" : "Play");
     find("play").querySelector("use").setAttribute("href", isPlaying ? "#i-pause" : "#i-play");
@@ -212,12 +214,13 @@ export class Controls {
     }
   }
 
-  setViscosity({ viscosity, viscosities }) {
+  setViscosity({ viscosity, viscosities, panels }) {
     this.range = viscosities;
     const slider = find("viscosity");
     slider.disabled = !viscosities;
     find("viscosity-hint").hidden = viscosities !== null;
-    find("viscosity-hint").textContent = "Made for one viscosity; DFSPH and the network viscosity take others.";
+    const why = panels.some(({ solver }) => solver === "pbf") ? "PBF has no viscosity" : "Made for one viscosity";
+    find("viscosity-hint").textContent = `${why}; DFSPH and the network viscosity take others.`;
     if (viscosities && viscosity !== null) {
       const { low, high } = viscosities;
       const part = Math.min(1, Math.max(0, (viscosity - low) / (high - low)));
@@ -232,6 +235,20 @@ export class Controls {
     find("solver-1-row").hidden = !isComparing;
     find("solver-0-label").textContent = isComparing ? "First" : "Moved by";
     const offers = JSON.stringify(state.solvers);
+    const refused = state.solvers.filter((offer) => offer.refused !== null);
+    const hint = find("solver-hint");
+    hint.hidden = refused.length === 0;
+    if (hint.dataset.offers !== offers) {
+      // Why, where a finger or a screen reader finds it too.
+      hint.dataset.offers = offers;
+      hint.replaceChildren(
+        ...refused.map((offer) => {
+          const line = document.createElement("p");
+          line.textContent = `Not ${offer.label}: ${offer.refused}`;
+          return line;
+        }),
+      );
+    }
     for (const panel of [0, 1]) {
       const select = find(`solver-${panel}`);
       if (select.dataset.offers !== offers) {
@@ -240,7 +257,6 @@ export class Controls {
           ...state.solvers.map(({ name, label, refused }) => {
             const option = new Option(label, name);
             option.disabled = refused !== null;
-            option.title = refused ?? "";
             return option;
           }),
         );

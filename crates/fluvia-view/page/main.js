@@ -72,11 +72,11 @@ const app = {
     app.readouts.setLegend(app.view.coloring, Math.min(...ends), Math.max(...ends), app.bodies ?? 0);
   },
 
-  resize() {
+  /** Gives the picture the size of the window. What it shows is gone then: only where it is drawn at once. */
+  fit() {
     const scale = Math.min(FINEST, devicePixelRatio || 1);
     const [width, height] = [canvas.clientWidth, canvas.clientHeight].map((size) => Math.max(1, Math.round(size * scale)));
     if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
-    app.redraw();
   },
 
   /** Drops fluid at a place of the page. */
@@ -118,14 +118,17 @@ function startRenderer() {
   if (app.renderer.missing) app.controls.forbidSurface(app.renderer.missing);
   if (app.walls) app.renderer.setWalls(app.walls);
   if (app.frame) app.renderer.setFrame(app.frame);
-  app.resize();
+  app.readouts.notice(null);
+  app.redraw();
 }
 
 if (draws) startRenderer();
 else app.readouts.notice("Drawing is off: frames are received and decoded.");
 canvas.addEventListener("webglcontextlost", (event) => {
+  // The browser tries to give it back, which it does not for pages that let it be.
   event.preventDefault();
   app.renderer = null;
+  app.readouts.notice("The browser has lost its graphics; the fluid is drawn again as soon as they are back.");
 });
 canvas.addEventListener("webglcontextrestored", startRenderer);
 
@@ -200,6 +203,9 @@ function loop(now) {
   if (app.hasDrawn) app.renderer?.adapt(now - app.lastLoop);
   Object.assign(app, { lastLoop: now, hasDrawn: false });
   const { renderer, frame, view } = app;
+  // Another screen, or another size of everything: the window need not have changed.
+  if (app.ratio !== devicePixelRatio) app.redraw();
+  app.ratio = devicePixelRatio;
   if (!renderer) {
     // Nothing holds up the frames of a page that cannot draw.
     if (draws && app.isNew) app.connection.acknowledge(frame);
@@ -215,6 +221,7 @@ function loop(now) {
     app.isNew = false;
   }
   app.hasDrawn = true;
+  app.fit();
   Object.assign(app, renderer.draw(view));
   const [, , across, upwards] = app.areas[0];
   document.getElementById("labels").classList.toggle("stacked", upwards < 1);
@@ -222,7 +229,7 @@ function loop(now) {
 }
 requestAnimationFrame(loop);
 
-new ResizeObserver(() => app.resize()).observe(canvas);
+new ResizeObserver(() => app.redraw()).observe(canvas);
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => app.setTheme());
 
 addEventListener("keydown", (event) => {
@@ -259,5 +266,7 @@ addEventListener("keydown", (event) => {
   // What has the focus takes the space bar itself.
   if (!act || (event.key === " " && event.target.matches("button, input:not([type=range])"))) return;
   event.preventDefault();
-  act();
+  // A key that is held goes through speeds and stored frames. What takes time or adds fluid is asked for once.
+  const goesOn = "[]".includes(event.key) || (isStored && ",.".includes(event.key));
+  if (!event.repeat || goesOn) act();
 });

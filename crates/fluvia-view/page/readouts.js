@@ -46,18 +46,20 @@ export class Readouts {
     if (errors && errors !== this.errors) this.say(errors, true);
     this.errors = errors;
     this.setChip(state.playing ? kind : `${kind}, paused`, failed ? "error" : state.playing ? "running" : "");
-    const labels = state.panels.map(({ label, error }) => {
+    const labels = state.panels.map(({ label, error, warning }) => {
       const element = document.createElement("div");
       const name = document.createElement("div");
       name.className = "name";
       name.textContent = label;
       element.append(name);
-      if (error) {
+      const add = (kind, said) => {
         const text = document.createElement("p");
-        text.className = "error";
-        text.textContent = `${label} stands still: ${error}`;
+        text.className = kind;
+        text.textContent = said;
         element.append(text);
-      }
+      };
+      if (error) add("error", `${label} stands still: ${error}`);
+      if (warning) add("warning", warning);
       return element;
     });
     find("labels").replaceChildren(...labels);

@@ -35,9 +35,40 @@ void main() {
   smoothed = vec4(b < low || b > high ? near : wide, 1.0);
 }`;
 
-/** Milliseconds a picture above which they are made coarser, and how coarse they may become. */
+/** Milliseconds a picture above which they are made coarser, and below which they may be finer. */
 const SLOW = 45;
+const FAST = 22;
+
+/** How coarse pictures may become, and how much with a step. */
 const COARSEST = 0.5;
+const STEP = 0.25;
+
+/** So many slow pictures in a row make them coarser, and so many fast ones finer. */
+const SLOW_ROW = 6;
+const FAST_ROW = 90;
+
+/** Each time that finer pictures were too slow they are tried again after as many times more fast ones, up to so many. */
+const CAUTION = 2;
+const LONGEST_ROW = 5000;
+
+/** How fine pictures are drawn, 1 for as fine as the screen: coarser where they take long, finer again where they no longer do. */
+export class Fineness {
+  constructor() {
+    Object.assign(this, { value: 1, slow: 0, fast: 0, row: FAST_ROW, isTrial: false });
+  }
+
+  /** A picture has taken so many milliseconds. */
+  adapt(milliseconds) {
+    this.slow = milliseconds > SLOW ? this.slow + 1 : 0;
+    this.fast = milliseconds < FAST ? this.fast + 1 : 0;
+    if (this.slow >= SLOW_ROW && this.value > COARSEST) {
+      if (this.isTrial) this.row = Math.min(CAUTION * this.row, LONGEST_ROW);
+      Object.assign(this, { value: this.value - STEP, slow: 0, isTrial: false });
+    } else if (this.fast >= this.row && this.value < 1) {
+      Object.assign(this, { value: this.value + STEP, fast: 0, isTrial: true });
+    }
+  }
+}
 
 export class Renderer {
   /** Throws where there is no WebGL2. `adapts`: whether pictures become coarser where they take long. */
@@ -56,8 +87,7 @@ export class Renderer {
     const color = { format: gl.RGBA8, filter: gl.LINEAR, depth: true };
     this.targets = [new Target(gl, color), new Target(gl, color)];
     this.adapts = adapts;
-    this.coarseness = 1;
-    this.slow = 0;
+    this.fineness = new Fineness();
     gl.enable(gl.SCISSOR_TEST);
     gl.clearColor(0, 0, 0, 1);
     this.readTheme();
@@ -86,6 +116,7 @@ export class Renderer {
     while (this.clouds.length < frame.panels.length) this.clouds.push(new Cloud(this.gl));
     frame.panels.forEach((panel, k) => this.clouds[k].set(panel));
     this.panels = frame.panels.length;
+    this.hasDensities = frame.hasDensities;
   }
 
   setWalls(walls) {
@@ -100,20 +131,16 @@ export class Renderer {
     return Array.from({ length: panels }, (_, k) => (isTall ? [0, 1 - (k + 1) * part, 1, part] : [k * part, 0, part, 1]));
   }
 
-  /** Milliseconds that a picture has taken; where they are many, pictures become coarser. */
+  /** Milliseconds that a picture has taken. */
   adapt(milliseconds) {
-    this.slow = this.adapts && milliseconds > SLOW ? this.slow + 1 : 0;
-    if (this.slow >= 6 && this.coarseness > COARSEST) {
-      this.coarseness = Math.max(COARSEST, this.coarseness - 0.25);
-      this.slow = 0;
-    }
+    if (this.adapts) this.fineness.adapt(milliseconds);
   }
 
   /** Draws; `view` says how: camera, radius, up, coloring, isSurface, hasWalls. Returns how the panels are looked at, and where they are. */
   draw(view) {
     const { gl, canvas } = this;
     const [first, second] = this.targets;
-    const [width, height] = [canvas.width, canvas.height].map((size) => Math.max(1, Math.round(size * this.coarseness)));
+    const [width, height] = [canvas.width, canvas.height].map((size) => Math.max(1, Math.round(size * this.fineness.value)));
     this.targets.forEach((target) => target.resize(width, height));
     const panels = Math.max(1, this.panels ?? 1);
     const areas = this.areas(panels);
@@ -121,11 +148,13 @@ export class Renderer {
     const look = view.camera.look((width * across) / (height * upwards), canvas.clientHeight * upwards);
     const dotUp = (x) => x.reduce((sum, value, a) => sum + value * view.up[a], 0);
     const ends = [this.low ?? [0, 0, 0], this.high ?? [1, 1, 1]].map(dotUp);
+    // Densities come a frame after they were asked for: no colours until then, rather than wrong ones.
+    const shown = view.coloring === "density" && !this.hasDensities ? "plain" : view.coloring;
     const style = {
       radius: view.radius,
       up: view.up,
-      coloring: COLORINGS.find(({ name }) => name === view.coloring).number,
-      scale: scaleOf(view.coloring, Math.min(...ends), Math.max(...ends)),
+      coloring: COLORINGS.find(({ name }) => name === shown).number,
+      scale: scaleOf(shown, Math.min(...ends), Math.max(...ends)),
       theme: this.theme,
     };
     areas.forEach((area, k) => {

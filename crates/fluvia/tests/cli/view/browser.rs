@@ -108,8 +108,13 @@ impl Browser {
     }
 
     pub fn resize(&mut self, width: u32, height: u32) {
+        self.resize_on(1, width, height);
+    }
+
+    /// The same on a screen with so many pixels a pixel of the page.
+    pub fn resize_on(&mut self, fineness: u32, width: u32, height: u32) {
         let metrics =
-            json!({"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600});
+            json!({"width": width, "height": height, "deviceScaleFactor": fineness, "mobile": width < 600});
         self.call("Emulation.setDeviceMetricsOverride", metrics);
     }
 
@@ -196,6 +201,15 @@ impl Browser {
             let event = json!({"type": kind, "key": key, "text": if kind == "keyDown" { text } else { "" }});
             self.call("Input.dispatchKeyEvent", event);
         }
+    }
+
+    /// Holds a key for so many repetitions.
+    pub fn hold(&mut self, key: &str, repetitions: usize) {
+        for k in 0..=repetitions {
+            let event = json!({"type": "keyDown", "key": key, "text": key, "autoRepeat": k > 0});
+            self.call("Input.dispatchKeyEvent", event);
+        }
+        self.call("Input.dispatchKeyEvent", json!({"type": "keyUp", "key": key}));
     }
 
     /// A picture of the page, as a PNG file.

@@ -163,6 +163,99 @@ fn the_slider_stands_at_the_frame_that_is_shown() {
 }
 
 #[test]
+fn a_held_key_asks_once() {
+    let Some(mut browser) = Browser::start() else { return };
+    let folder = Folder::new();
+    folder.write("scene.json", SCENE);
+    let view = View::start(&folder, "scene.json --solver pbf --paused");
+    let mut client = view.connect();
+    browser.open(&format!("{}?fine", view.page()), 1000, 700);
+    browser.until("document.getElementById('particles').textContent === '64'");
+    // It has been drawn.
+    browser.until("document.getElementById('canvas').width > 300");
+    browser.value("(() => { const s = document.getElementById('size'); s.value = 0.15; s.dispatchEvent(new Event('input')); })()");
+    browser.value("document.getElementById('canvas').focus()");
+    browser.hold("d", 5);
+    browser.hold(".", 5);
+    // All that comes after them.
+    browser.key("b");
+    let frame = client.until_frame("there are two", |frame| frame.panels.len() == 2);
+    assert_eq!((frame.number, frame.panels[0].position.len()), (1, 64 + 27));
+    // Speeds are gone through: one press alone would halve it.
+    browser.hold("[", 9);
+    client.until("it is slow", |state| state["speed"].as_f64() < Some(0.5));
+    assert_eq!(browser.complaints, [""; 0]);
+}
+
+#[test]
+fn the_picture_follows_its_window() {
+    let Some(mut browser) = Browser::start() else { return };
+    let folder = Folder::new();
+    folder.write("scene.json", SCENE);
+    let view = View::start(&folder, "scene.json --solver pbf --paused");
+    browser.open(&format!("{}?fine", view.page()), 1000, 700);
+    browser.until("document.getElementById('particles').textContent === '64'");
+    let before = browser.settled();
+    assert!(before.colors(SCENE_COLUMNS, SCENE_ROWS) > 200, "a blank picture");
+
+    // Who goes through the page by keys sees where he is: a line along the edge of the scene.
+    browser.value("document.getElementById('canvas').focus()");
+    browser.until_picture("the scene has the focus", |now| before.differing(now, 0..2, 200..500) > 0.9);
+
+    // The graphics of a browser come and go, and it is said.
+    browser.value(
+        "(() => { window.graphics = document.getElementById('canvas').getContext('webgl2').getExtension('WEBGL_lose_context'); \
+         window.graphics.loseContext(); })()",
+    );
+    browser.until("!document.getElementById('notice').hidden");
+    assert!(browser.text("notice").contains("graphics"));
+    browser.value("window.graphics.restoreContext()");
+    browser.until("document.getElementById('notice').hidden");
+    browser
+        .until_picture("it is drawn again", |now| before.differing(now, SCENE_COLUMNS, SCENE_ROWS) < 0.002);
+
+    // A picture of another size is empty: it is drawn before anybody sees that.
+    browser.value(
+        "(() => { Object.assign(window, { sizes: 0, flashes: 0 }); let isBlank = false; \
+         const { get, set } = Object.getOwnPropertyDescriptor(HTMLCanvasElement.prototype, 'width'); \
+         Object.defineProperty(HTMLCanvasElement.prototype, 'width', { get, set(value) { \
+           set.call(this, value); window.sizes++; isBlank = true; \
+           queueMicrotask(() => { if (isBlank) window.flashes++; }); } }); \
+         const draw = WebGL2RenderingContext.prototype.drawArrays; \
+         WebGL2RenderingContext.prototype.drawArrays = function (...all) { isBlank = false; return draw.apply(this, all); }; })()",
+    );
+    let fits = "document.getElementById('canvas').width === document.getElementById('canvas').clientWidth";
+    browser.press("settings-toggle");
+    browser.until("document.getElementById('canvas').clientWidth === 1000");
+    browser.until(fits);
+    browser.resize(900, 600);
+    browser.until("document.getElementById('canvas').clientWidth === 900");
+    browser.until(fits);
+    assert_eq!(browser.value("[window.sizes > 0, window.flashes]"), json!([true, 0]));
+
+    // A window of the same size on a finer screen.
+    browser.resize_on(2, 900, 600);
+    browser.until("document.getElementById('canvas').width === 1800");
+}
+
+#[test]
+fn what_is_to_be_known_can_be_read() {
+    let Some(mut browser) = Browser::start() else { return };
+    let folder = Folder::new();
+    let thick = r#""shape": "box", "scale": 0.2, "translation": [0, 0.3, 0], "viscosity": 0.1"#;
+    folder.write("scene.json", scene_of(thick));
+    let view = View::start(&folder, "scene.json --solver dfsph --paused");
+    browser.open(&format!("{}?draw=off", view.page()), 1000, 700);
+    browser.until("document.querySelector('#labels .warning') !== null");
+    let said = browser.value("document.querySelector('#labels .warning').textContent");
+    assert!(said.as_str().unwrap().contains("viscosity 0.1 acts once a step"), "{said}");
+    let refused = browser.text("solver-hint");
+    assert!(refused.contains("Not Network default: ") && refused.contains("Not PBF: "), "{refused}");
+    assert!(!refused.contains("Not DFSPH") && !refused.contains("Not Network viscosity"), "{refused}");
+    assert_eq!(browser.complaints, [""; 0]);
+}
+
+#[test]
 fn a_small_window_and_fingers() {
     let Some(mut browser) = Browser::start() else { return };
     let folder = Folder::new();
@@ -222,6 +315,7 @@ fn everything_has_a_name_and_emitters_have_handles() {
         }
     }
     assert!(named > 20, "{named} controls");
+    assert!(browser.text("viscosity-hint").starts_with("PBF has no viscosity"));
     // The arrow keys move the emitter.
     let mut client = view.connect();
     let at = |client: &super::client::Client| client.state["emitters"][0]["position"][1].as_f64().unwrap();
@@ -283,6 +377,14 @@ fn its_modules_compute_what_they_say() {
            return [faces.length / 21, lines.length / 14, faces[6]]; }); })()",
     );
     assert_eq!(cube, json!([[12, 12, 1], [12, 12, 0]]));
+    // Slow pictures make coarser ones, fast ones finer; what was too fine is tried again, after longer.
+    let finenesses = browser.value(
+        "(async () => { const { Fineness } = await import('./renderer.js'); \
+         const fineness = new Fineness(); \
+         const after = ([count, milliseconds]) => { for (let k = 0; k < count; k++) fineness.adapt(milliseconds); return fineness.value; }; \
+         return [[5, 100], [1, 100], [20, 100], [80, 17], [200, 17], [6, 100], [100, 17], [100, 17]].map(after); })()",
+    );
+    assert_eq!(finenesses, json!([1, 0.75, 0.5, 0.5, 1, 0.75, 0.75, 1]));
     // The scale is lighter at every step, by as much.
     let steps = browser.value(
         "(async () => { const { ramp } = await import('./colors.js'); \
@@ -384,4 +486,14 @@ fn pictures_of_the_page() {
     save(&mut browser, "view_small_settings.png");
     browser.resize(844, 390);
     save(&mut browser, "view_flat.png");
+    // What is to be known, and what is refused.
+    let view = View::start(&folder, "three_viscosities --solver dfsph --paused");
+    browser.open(&format!("{}?fine", view.page()), 1280, 800);
+    browser.until("document.getElementById('particles').textContent !== '–'");
+    view.connect().send(json!({"do": "compare", "on": true}));
+    save(&mut browser, "view_warning.png");
+    choose(&mut browser, "light", "particles");
+    save(&mut browser, "view_warning_light.png");
+    browser.value("document.getElementById('canvas').focus()");
+    save(&mut browser, "view_focus.png");
 }
