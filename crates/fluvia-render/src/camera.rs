@@ -4,48 +4,12 @@
 //! d = -b·(p - e) and at the pixel x = f r·(p - e) / d + s_x, y = -f u·(p - e) / d + s_y (down). The focal
 //! length f and the shift s are those at which what must be seen fills the image to its margins.
 
-use crate::bounds::{Bounds, central_box};
-use crate::draw::Walls;
+use crate::bounds::Bounds;
+use crate::subject::Subject;
+use crate::upright::{rotate, rotate_back, upright};
 use crate::vector::unit;
 use crate::view::{ASPECT, MAX_PITCH, MAX_SIDE, SWEEP_STEP, USUAL_ASPECT, View, check};
 use crate::{Error, Result};
-
-/// What a camera must show: the walls, and the particles of all frames.
-#[derive(Clone, Debug)]
-pub struct Subject<'a> {
-    walls: Walls<'a>,
-    radius: f32,
-    up: [f32; 3],
-    particles: Bounds,
-}
-
-impl<'a> Subject<'a> {
-    /// The walls, and particles (to be added) of a radius in metres; y is up.
-    pub fn new(walls: Walls<'a>, radius: f32) -> Subject<'a> {
-        Subject { walls, radius, up: [0.0, 1.0, 0.0], particles: Bounds::EMPTY }
-    }
-
-    /// The same with another direction up: the opposite of gravity. To be called before [`Subject::add`].
-    pub fn with_up(self, up: [f32; 3]) -> Subject<'a> {
-        Subject { up, ..self }
-    }
-
-    /// Adds the particles of a frame. Those that are not finite, or so far from nearly all others that they
-    /// must have been thrown out, are left out.
-    pub fn add(&mut self, position: &[[f32; 3]]) {
-        let upright = upright(self.up);
-        let mut points: Vec<[f64; 3]> = position
-            .iter()
-            .filter(|p| p.iter().all(|x| x.is_finite()))
-            .map(|&p| rotate(&upright, p.map(f64::from)))
-            .collect();
-        let Some(central) = central_box(&mut points) else { return };
-        let reach = central.grown(2.0 * f64::from(self.radius));
-        for point in points.iter().filter(|p| reach.contains(p)) {
-            self.particles.add(point);
-        }
-    }
-}
 
 /// A perspective camera that looks at a [`Subject`].
 #[derive(Clone, Debug, PartialEq)]
@@ -91,11 +55,11 @@ impl Camera {
     /// and the particles where there is no wall or the walls end below them.
     ///
     /// # Errors
-    /// `Parameter` if the view is out of range.
+    /// `Parameter` if the view is out of range, `OutOfView` if the camera stands or looks where it sees nothing.
     pub fn fit(subject: &Subject<'_>, view: &View) -> Result<Camera> {
         check(view)?;
         let radius = f64::from(subject.radius).max(f64::MIN_POSITIVE);
-        let (points, top) = points_to_show(subject, view, radius);
+        let (points, top) = subject.points(view.top, radius);
         let bounds = points.iter().fold(Bounds::EMPTY, |bounds, p| bounds.with(p));
         let [wide, tall, deep] = bounds.size();
         let distance = (DISTANCE * wide.hypot(deep))
@@ -128,7 +92,7 @@ impl Camera {
             width: view.width,
             height: view.width,
         };
-        camera.frame(&points, view, 2.0 * radius / away);
+        camera.frame(&points, view, 2.0 * radius / away)?;
         camera.axes = camera.axes.map(|axis| rotate_back(&upright, axis));
         camera.eye = rotate_back(&upright, camera.eye);
         camera.pivot = rotate_back(&upright, camera.pivot);
@@ -231,12 +195,15 @@ impl Camera {
 
     /// Chooses focal length, shift and height so that `points` fill the picture to its margins all the way of the
     /// sweep; `least` is the least extent to fill it with, at a focal length of 1.
-    fn frame(&mut self, points: &[[f64; 3]], view: &View, least: f64) {
+    fn frame(&mut self, points: &[[f64; 3]], view: &View, least: f64) -> Result<()> {
         let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
         let steps = (view.sweep.abs().min(360.0) / SWEEP_STEP).ceil();
-        for step in 0..=steps as usize {
+        let turn = |step: usize| {
             let part = if steps > 0.0 { step as f32 / steps } else { 0.0 };
-            let camera = self.turned(part * view.sweep.clamp(-360.0, 360.0));
+            part * view.sweep.clamp(-360.0, 360.0)
+        };
+        for step in 0..=steps as usize {
+            let camera = self.turned(turn(step));
             for &point in points {
                 let [x, y, depth] = camera.project_wide(point);
                 if depth <= self.near {
@@ -273,54 +240,40 @@ impl Camera {
             None => (0..2).map(|k| (size[k] - 2.0 * margins[k]) / span[k]).fold(f64::INFINITY, f64::min),
         };
         self.shift = [0, 1].map(|k| size[k] / 2.0 - self.focal * (low[k] + high[k]) / 2.0);
+        let is_placed = view.eye.is_some() || view.look_at.is_some();
+        if is_placed && !(0..=steps as usize).any(|step| self.turned(turn(step)).may_see(points)) {
+            return Err(Error::OutOfView);
+        }
+        Ok(())
+    }
+
+    /// Whether what lies between `points` may be in the picture: if they are not all behind the camera or all beyond
+    /// the same edge.
+    fn may_see(&self, points: &[[f64; 3]]) -> bool {
+        // How far a point is behind the camera and beyond each edge. Not divided by the depth, which has no meaning
+        // behind the camera.
+        let beyond = |point: &[f64; 3]| {
+            let [right, up, back] = self.seen(*point);
+            let (x, y) = (self.focal * right - self.shift[0] * back, -self.focal * up - self.shift[1] * back);
+            let (width, height) = (f64::from(self.width) * -back, f64::from(self.height) * -back);
+            [self.near + back, -x, x - width, -y, y - height]
+        };
+        let least = points
+            .iter()
+            .map(beyond)
+            .fold([f64::INFINITY; 5], |least, beyond| std::array::from_fn(|k| least[k].min(beyond[k])));
+        least.iter().all(|&beyond| beyond <= 0.0)
+    }
+
+    /// A point in the camera's axes: right, up and to the viewer from the eye, metres.
+    fn seen(&self, point: [f64; 3]) -> [f64; 3] {
+        rotate(&self.axes, std::array::from_fn(|k| point[k] - self.eye[k]))
     }
 
     fn project_wide(&self, point: [f64; 3]) -> [f64; 3] {
-        let offset = std::array::from_fn(|k| point[k] - self.eye[k]);
-        let [x, y, back] = rotate(&self.axes, offset);
+        let [x, y, back] = self.seen(point);
         [self.shift[0] + self.focal * x / -back, self.shift[1] + self.focal * y / back, -back]
     }
-}
-
-/// The points that must lie inside the picture, y up, and the height of the scene's top.
-fn points_to_show(subject: &Subject<'_>, view: &View, radius: f64) -> (Vec<[f64; 3]>, f64) {
-    let upright = upright(subject.up);
-    let walls: Vec<[f64; 3]> = subject
-        .walls
-        .position
-        .iter()
-        .filter(|p| p.iter().all(|x| x.is_finite()))
-        .map(|&p| rotate(&upright, p.map(f64::from)))
-        .collect();
-    let particles = subject.particles.grown_by(radius);
-    let bounds = walls.iter().fold(Bounds::EMPTY, |bounds, p| bounds.with(p));
-    if bounds.is_empty() {
-        let all = if particles.is_empty() { Bounds::EMPTY.with(&[0.0; 3]).grown_by(1.0) } else { particles };
-        let all = all.capped(view.top);
-        return (all.corners().to_vec(), all.high[1]);
-    }
-    // Above open walls particles may go as high again as the scene is large; beyond that they have been thrown out.
-    let ceiling = bounds.high[1] + bounds.size().into_iter().fold(0.0, f64::max);
-    let top = match view.top {
-        Some(top) => f64::from(top),
-        None if particles.is_empty() => bounds.high[1],
-        None => particles.high[1].min(ceiling),
-    };
-    // A view that ends below the walls would show none of them: show all.
-    let below: Vec<[f64; 3]> = walls.iter().copied().filter(|p| p[1] <= top).collect();
-    let (mut points, top) = if below.is_empty() { (walls, bounds.high[1]) } else { (below, top) };
-    if top > bounds.high[1] && !particles.is_empty() {
-        let over = Bounds {
-            low: std::array::from_fn(|k| particles.low[k].clamp(bounds.low[k], bounds.high[k])),
-            high: [
-                particles.high[0].clamp(bounds.low[0], bounds.high[0]),
-                top,
-                particles.high[2].clamp(bounds.low[2], bounds.high[2]),
-            ],
-        };
-        points.extend(over.corners());
-    }
-    (points, top)
 }
 
 /// Right, up, back for a yaw and a pitch, y up.
@@ -353,27 +306,4 @@ fn lamp([[cosine, _, sine], ..]: [[f64; 3]; 3]) -> [f64; 3] {
     let lamp = [right * cosine - before * sine, up, right * sine + before * cosine];
     let length = lamp.iter().map(|x| x * x).sum::<f64>().sqrt();
     lamp.map(|x| x / length)
-}
-
-/// The shortest rotation that turns `up` into +y; the identity if `up` has no direction.
-fn upright(up: [f32; 3]) -> [[f64; 3]; 3] {
-    let length = up.iter().map(|&x| f64::from(x).powi(2)).sum::<f64>().sqrt();
-    let [x, y, z] = up.map(|x| f64::from(x) / length);
-    if !(x + y + z).is_finite() || y == 1.0 {
-        return [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
-    }
-    if y < -1.0 + 1e-9 {
-        return [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]];
-    }
-    // Rodrigues' formula for the axis up × y = (-z, 0, x), whose length is the sine of the angle.
-    let c = 1.0 / (1.0 + y);
-    [[1.0 - c * x * x, -x, -c * x * z], [x, y, z], [-c * x * z, -z, 1.0 - c * z * z]]
-}
-
-fn rotate(rows: &[[f64; 3]; 3], p: [f64; 3]) -> [f64; 3] {
-    rows.map(|row| row[0] * p[0] + row[1] * p[1] + row[2] * p[2])
-}
-
-fn rotate_back(rows: &[[f64; 3]; 3], p: [f64; 3]) -> [f64; 3] {
-    std::array::from_fn(|k| rows[0][k] * p[0] + rows[1][k] * p[1] + rows[2][k] * p[2])
 }

@@ -207,6 +207,7 @@ pub fn draw_frame(frame: &Frame<'_>, stage: &Stage, camera: &Camera, style: &Sty
         stage,
         walls: wall_points(stage, &wall_sky),
         spheres: frame.position,
+        outside: frame.outside,
         sphere_color: (0..frame.position.len()).map(|i| linear(sphere_color(i))).collect(),
         sphere_sky,
         sphere_lamp,
@@ -249,7 +250,7 @@ fn check_style(style: &Style, camera: &Camera) -> Result<()> {
     let pixels = u64::from(camera.width()) * u64::from(camera.height());
     if pixels * u64::from(style.supersample).pow(2) > MAX_SAMPLES {
         let size = format!("{} x {}", camera.width(), camera.height());
-        return Err(Error::parameter("picture size in pixels", size, "less, or less supersampling"));
+        return Err(Error::parameter("picture size in pixels", size, "a smaller picture"));
     }
     Ok(())
 }

@@ -21,6 +21,9 @@ pub enum Error {
         /// What it must be.
         expected: &'static str,
     },
+    /// The camera stands or looks where it sees nothing of the scene.
+    #[error("nothing of the scene is in view of the camera")]
+    OutOfView,
     /// The encoder of an image format refused.
     #[error("{format}: {message}")]
     Encode {

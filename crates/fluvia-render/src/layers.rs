@@ -81,6 +81,10 @@ struct Dot {
     depth: f32,
 }
 
+/// The least cosine between the normal of a round wall and the way to the eye from which on the pieces behind its cells
+/// are drawn: at the outline of the wall they would stick out.
+const BACK_TURN: f32 = 0.2;
+
 /// Which particles are drawn as spheres.
 pub(crate) type Spheres<'a> = &'a [(u32, Vec3)];
 
@@ -109,7 +113,9 @@ impl Shapes {
         let eye = camera.eye();
         let faces = stage.triangles.iter().copied().zip(0..).filter(|(_, index): &(_, u32)| {
             let cell = stage.cell[*index as usize] as usize;
-            dot(sub(eye, stage.position[cell]), stage.normal[cell]) > 0.0
+            let way = sub(eye, stage.position[cell]);
+            let least = if *index as usize >= stage.first_back { BACK_TURN } else { 0.0 };
+            dot(way, stage.normal[cell]) > least * dot(way, way).sqrt()
         });
         let walls = Mesh::new(stage.vertices.iter().map(|(p, _)| p), faces, camera, size, top);
         let dots = dots(stage, camera, radius, samples as f32);

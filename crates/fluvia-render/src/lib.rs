@@ -1,9 +1,11 @@
-//! Pictures of particle fluids without a display or a GPU: pixels from points.
+//! Pictures of particle fluids without a display or a GPU: pixels from points and triangles.
 //!
 //! ```text
-//! positions, values  ->  Subject -> Camera        one camera and one colour scale for a whole film or sheet
-//!                    ->  draw_frame -> Image      shaded, depth-sorted spheres and faint wall points
-//!                    ->  sheet -> Image           labelled tiles, title, legend
+//! walls, positions   ->  Subject -> Camera        one camera for a whole film or sheet
+//! walls              ->  Stage                    their points as a surface, made once
+//! positions, values, ->  draw_frame -> Image      particles as spheres, or the liquid's surface as water, before the
+//! surface                                         walls, in the light of a lamp with soft shadows and of a sky
+//!                    ->  sheet, Page -> Image     labelled tiles, title, legend
 //! Image              ->  encode_png, GifEncoder   bytes
 //! ```
 //!
@@ -44,12 +46,14 @@ mod shade;
 mod sheet;
 mod splat;
 mod stage;
+mod subject;
 mod text;
 mod tree;
+mod upright;
 mod vector;
 mod view;
 
-pub use camera::{Camera, Subject};
+pub use camera::Camera;
 pub use color::{BODY_COLORS, Curve, Rgb, Scale, heights, speeds};
 pub use draw::{Frame, Style, Surface, Values, Walls, draw_frame};
 pub use error::Error;
@@ -57,8 +61,9 @@ pub use gif::GifEncoder;
 pub use image::{Image, encode_png};
 pub use outside::OutsideTest;
 pub use palette::{Palette, PaletteBuilder};
-pub use sheet::{Row, Sheet, Tile, sheet};
+pub use sheet::{Legend, Page, Row, Sheet, Tile, sheet};
 pub use stage::Stage;
+pub use subject::Subject;
 pub use view::View;
 
 /// The result of everything in this crate that can fail.

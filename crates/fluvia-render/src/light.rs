@@ -421,8 +421,8 @@ mod tests {
         let off = [[0.0, 0.3, 0.0], [3.0, 0.3, 0.0]];
         let below = sky.of_surface(&off, &[UP; 2], RADIUS);
         assert!(below[0] < 0.3 && below[1] > 0.95, "{below:?}");
-        // What looks down sees none of it, and is not covered either.
-        assert_eq!(sky.of_surface(&off[..1], &[[0.0, -1.0, 0.0]], RADIUS).len(), 1);
+        // What looks down sees only the lowest of it, and the slab above it does not cover that.
+        assert_eq!(sky.of_surface(&[[0.2, 0.3, 0.1]], &[[0.0, -1.0, 0.0]], RADIUS), [1.0]);
     }
 
     #[test]

@@ -22,6 +22,8 @@ pub(crate) struct Painter<'a> {
     /// Of each vertex of the stage.
     pub walls: Vec<WallPoint>,
     pub spheres: &'a [Vec3],
+    /// Which of them are outside; empty: none.
+    pub outside: &'a [bool],
     pub sphere_color: Vec<Vec3>,
     pub sphere_sky: Vec<f32>,
     pub sphere_lamp: Vec<Lit>,
@@ -46,7 +48,7 @@ pub(crate) struct SurfacePoint {
     lamp: Lit,
 }
 
-/// How much of the liquid a wall before it covers.
+/// How much of a particle that is outside a wall before it covers: what has left is to be seen. The liquid it hides.
 const FRONT_WALL: f32 = 0.35;
 /// How far over a wall what shadows it lies at least, in particle radii.
 const WALL_BIAS: f32 = 0.5;
@@ -156,13 +158,16 @@ impl Painter<'_> {
             let place = [column as f32 + 0.5, (band * shapes.band + row) as f32 + 0.5];
             let (liquid, wall) = (shown(layers.liquid[at]), shown(layers.wall[at]));
             let mut under = 1.0;
-            if let (Some((depth, _)), Some((front, triangle))) = (liquid, wall)
+            if let (Some((depth, index)), Some((front, triangle))) = (liquid, wall)
                 && front < depth
             {
-                under -= FRONT_WALL;
-                collect(groups, Thing::Wall(triangle), FRONT_WALL, place, front, 0.0);
+                let is_outside = self.outside.get(index as usize) == Some(&true);
+                let cover = if is_outside { FRONT_WALL } else { 1.0 };
+                under -= cover;
+                collect(groups, Thing::Wall(triangle), cover, place, front, 0.0);
             }
             match (liquid, wall) {
+                (Some(_), _) if under == 0.0 => {}
                 (Some((depth, index)), _) if index >= SURFACE => {
                     let thickness = layers.thickness[at];
                     collect(groups, Thing::Water(index - SURFACE), under, place, depth, thickness);

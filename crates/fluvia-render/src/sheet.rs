@@ -50,49 +50,102 @@ const MAX_SIDE: u32 = 32_768;
 /// # Errors
 /// Those of [`draw_frame`], and `Parameter` if the sheet is too large.
 pub fn sheet(sheet: &Sheet<'_>, camera: &Camera, style: &Style) -> Result<Image> {
-    let pen = Pen::new();
-    let layout = Layout::new(sheet, camera, style, &pen)?;
-    let mut page = Image::filled(layout.width, layout.height, PAGE);
-    let baseline = i64::from(layout.px(29));
-    let title = pen.fit(&sheet.title, layout.large, layout.width as f32 - layout.pad as f32 * 4.0);
-    pen.write(&mut page, (2.0 * layout.pad as f32, baseline), Anchor::Left, layout.large, TEXT, &title);
+    let rows: Vec<(&str, usize)> =
+        sheet.rows.iter().map(|row| (row.label.as_str(), row.tiles.len())).collect();
+    let mut page = Page::new(&sheet.title, &rows, legend(sheet, style), camera, style)?;
+    for (row, tiles) in sheet.rows.iter().enumerate() {
+        for (column, tile) in tiles.tiles.iter().enumerate() {
+            page.draw([row, column], tile)?;
+        }
+    }
+    Ok(page.finish())
+}
 
-    let none = Stage::default();
-    let mut top = layout.head;
-    for row in &sheet.rows {
-        if !row.label.is_empty() {
-            let label = pen.fit(&row.label, layout.medium, layout.width as f32 - layout.pad as f32 * 4.0);
-            let baseline = i64::from(top + layout.px(16));
-            pen.write(
-                &mut page,
-                (2.0 * layout.pad as f32, baseline),
-                Anchor::Left,
-                layout.medium,
-                TEXT,
-                &label,
-            );
-            top += layout.strip;
+/// A sheet that is drawn tile by tile, for those whose frames are too many to be in memory together.
+pub struct Page<'a> {
+    image: Image,
+    layout: Layout,
+    pen: Pen,
+    camera: &'a Camera,
+    style: &'a Style,
+    /// Of each row the upper edge of its tiles, pixels, and their number.
+    rows: Vec<(u32, usize)>,
+}
+
+/// What explains the colours of a page.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Legend {
+    /// Nothing.
+    None,
+    /// The scale of [`Style::scale`].
+    Scale,
+    /// The names of bodies, in their order: the first eight.
+    Bodies(Vec<String>),
+}
+
+impl<'a> Page<'a> {
+    /// A page with rows of a label and a number of tiles, without its tiles.
+    ///
+    /// # Errors
+    /// `Parameter` if the page is too large.
+    pub fn new(
+        title: &str,
+        rows: &[(&str, usize)],
+        legend: Legend,
+        camera: &'a Camera,
+        style: &'a Style,
+    ) -> Result<Page<'a>> {
+        let pen = Pen::new();
+        let layout = Layout::new(title, rows, legend, camera, style, &pen)?;
+        let mut image = Image::filled(layout.width, layout.height, PAGE);
+        let (left, room) = (2.0 * layout.pad as f32, layout.width as f32 - layout.pad as f32 * 4.0);
+        let mut write = |text: &str, baseline: u32, size: u32| {
+            let text = pen.fit(text, size, room);
+            pen.write(&mut image, (left, i64::from(baseline)), Anchor::Left, size, TEXT, &text);
+        };
+        write(title, layout.px(29), layout.large);
+        let (mut top, mut places) = (layout.head, Vec::new());
+        for &(label, tiles) in rows {
+            if !label.is_empty() {
+                write(label, top + layout.px(16), layout.medium);
+                top += layout.strip;
+            }
+            places.push((top, tiles));
+            top += layout.strip + camera.height() + layout.pad;
         }
-        for (column, tile) in row.tiles.iter().enumerate() {
-            let left = layout.pad + column as u32 * (camera.width() + layout.pad);
-            let (x, y) = (i64::from(left), i64::from(top));
-            let tall = i64::from(layout.strip + camera.height());
-            page.fill(x, y, i64::from(camera.width()), tall, TILE);
-            page.paste(
-                &draw_frame(&tile.frame, tile.stage.unwrap_or(&none), camera, style)?,
-                left,
-                top + layout.strip,
-            );
-            label_tile(&mut page, &pen, &layout, tile, (left, top), camera.width());
+        match &layout.legend {
+            Legend::None => {}
+            Legend::Scale => scale_legend(&mut image, &pen, &layout, &style.scale, top),
+            Legend::Bodies(names) => body_legend(&mut image, &pen, &layout, names, top),
         }
-        top += layout.strip + camera.height() + layout.pad;
+        Ok(Page { image, layout, pen, camera, style, rows: places })
     }
-    match &layout.legend {
-        Legend::None => {}
-        Legend::Scale => scale_legend(&mut page, &pen, &layout, &style.scale, top),
-        Legend::Bodies(names) => body_legend(&mut page, &pen, &layout, names, top),
+
+    /// Draws the tile in a row and a column.
+    ///
+    /// # Errors
+    /// Those of [`draw_frame`], and `Parameter` if there is no such place.
+    pub fn draw(&mut self, [row, column]: [usize; 2], tile: &Tile<'_>) -> Result<()> {
+        let place = self.rows.get(row).filter(|(_, tiles)| column < *tiles);
+        let Some(&(top, _)) = place else {
+            let found = format!("row {row}, column {column}");
+            return Err(Error::parameter("place of a tile", found, "one that is on the sheet"));
+        };
+        let Page { image, layout, pen, camera, style, .. } = self;
+        let none = Stage::default();
+        let picture = draw_frame(&tile.frame, tile.stage.unwrap_or(&none), camera, style)?;
+        let left = layout.pad + column as u32 * (camera.width() + layout.pad);
+        let tall = i64::from(layout.strip + camera.height());
+        image.fill(left.into(), top.into(), camera.width().into(), tall, TILE);
+        image.paste(&picture, left, top + layout.strip);
+        label_tile(image, pen, layout, tile, (left, top), camera.width());
+        Ok(())
     }
-    Ok(page)
+
+    /// The page.
+    pub fn finish(self) -> Image {
+        self.image
+    }
 }
 
 /// Sizes of everything but the tiles, pixels.
@@ -112,12 +165,6 @@ struct Layout {
     legend: Legend,
 }
 
-enum Legend {
-    None,
-    Scale,
-    Bodies(Vec<String>),
-}
-
 /// Tiles wider than this get larger text, in proportion, ...
 const ZOOM_WIDTH: f32 = 900.0;
 /// ... up to this.
@@ -128,18 +175,27 @@ const BAR: u32 = 280;
 const LEGEND_BODIES: usize = 8;
 
 impl Layout {
-    fn new(sheet: &Sheet<'_>, camera: &Camera, style: &Style, pen: &Pen) -> Result<Layout> {
+    fn new(
+        title: &str,
+        rows: &[(&str, usize)],
+        mut legend: Legend,
+        camera: &Camera,
+        style: &Style,
+        pen: &Pen,
+    ) -> Result<Layout> {
         let zoom = (camera.width() as f32 / ZOOM_WIDTH).clamp(1.0, ZOOM_LIMIT);
         let px = |length: f32| (zoom * length).round() as u32;
         let (pad, strip) = (px(6.0), px(24.0));
-        let head = if sheet.title.is_empty() { pad } else { px(44.0) };
-        let columns = sheet.rows.iter().map(|row| row.tiles.len()).max().unwrap_or(0).max(1) as u64;
+        let head = if title.is_empty() { pad } else { px(44.0) };
+        let columns = rows.iter().map(|(_, tiles)| *tiles).max().unwrap_or(0).max(1) as u64;
         let width = u64::from(pad) + columns * u64::from(camera.width() + pad);
-        let row_height = |row: &Row<'_>| {
-            let label = if row.label.is_empty() { 0 } else { strip };
+        let row_height = |(label, _): &(&str, usize)| {
+            let label = if label.is_empty() { 0 } else { strip };
             u64::from(label + strip + camera.height() + pad)
         };
-        let legend = legend(sheet, style);
+        if let Legend::Bodies(names) = &mut legend {
+            names.truncate(LEGEND_BODIES);
+        }
         let mut layout = Layout {
             width: 0,
             height: 0,
@@ -158,7 +214,7 @@ impl Layout {
             Legend::Scale => px(60.0),
             Legend::Bodies(_) => px(26.0),
         };
-        let height = u64::from(head) + sheet.rows.iter().map(row_height).sum::<u64>() + u64::from(foot);
+        let height = u64::from(head) + rows.iter().map(row_height).sum::<u64>() + u64::from(foot);
         for (what, side) in [("sheet width in pixels", width), ("sheet height in pixels", height)] {
             if side > u64::from(MAX_SIDE) {
                 return Err(Error::parameter(what, side, "at most 32768; take fewer or smaller tiles"));
@@ -196,7 +252,7 @@ fn legend(sheet: &Sheet<'_>, style: &Style) -> Legend {
         Some(Values::Scalar(_)) => Legend::Scale,
         // The colours of a surface may be those of bodies that run into each other.
         Some(Values::Body(_) | Values::Color(_)) if !style.bodies.is_empty() => {
-            Legend::Bodies(style.bodies.iter().take(LEGEND_BODIES).cloned().collect())
+            Legend::Bodies(style.bodies.clone())
         }
         None | Some(Values::None | Values::Color(_)) => Legend::None,
         Some(Values::Body(_)) => {
@@ -305,6 +361,7 @@ fn number(x: f32) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::{Subject, View, Walls};
 
     #[test]
     fn numbers_have_four_digits_and_no_idle_zeros() {
@@ -323,6 +380,30 @@ mod tests {
         for (value, expected) in cases {
             assert_eq!(number(value), expected);
         }
+    }
+
+    #[test]
+    fn tiles_are_drawn_in_any_order_at_the_places_that_there_are() {
+        let mut subject = Subject::new(Walls::default(), 0.025);
+        subject.add(&[[0.0; 3], [0.4, 0.2, 0.0]]);
+        let camera = Camera::fit(&subject, &View { width: 60, ..View::default() }).unwrap();
+        let style = Style::default();
+        let position = [[[0.0; 3]], [[0.2, 0.1, 0.0]], [[0.4, 0.2, 0.0]]];
+        let tile = |k: usize| {
+            let frame = Frame { position: &position[k], ..Frame::default() };
+            Tile { frame, label: format!("frame {k}"), ..Tile::default() }
+        };
+        let row = |label: &str, tiles| Row { label: label.to_owned(), tiles };
+        let rows = vec![row("", vec![tile(0), tile(1)]), row("other", vec![tile(2)])];
+        let whole = sheet(&Sheet { title: "Title".to_owned(), rows }, &camera, &style).unwrap();
+        let mut page = Page::new("Title", &[("", 2), ("other", 1)], Legend::None, &camera, &style).unwrap();
+        for (place, k) in [([1, 0], 2), ([0, 1], 1), ([0, 0], 0)] {
+            page.draw(place, &tile(k)).unwrap();
+        }
+        for place in [[0, 2], [1, 1], [2, 0]] {
+            assert!(matches!(page.draw(place, &tile(0)), Err(Error::Parameter { .. })), "{place:?}");
+        }
+        assert!(page.finish() == whole);
     }
 
     #[test]

@@ -14,7 +14,7 @@ use rayon::prelude::*;
 
 use crate::draw::Walls;
 use crate::tree::Tree;
-use crate::vector::{Vec3, across, add, dot, scaled, sub, unit};
+use crate::vector::{Vec3, across, add, cross, dot, scaled, sub, unit};
 
 /// Walls that are ready to be drawn; made once for all frames.
 #[derive(Clone, Debug, Default)]
@@ -37,6 +37,8 @@ pub struct Stage {
     pub(crate) triangles: Vec<[u32; 3]>,
     /// The point whose cell a triangle is in.
     pub(crate) cell: Vec<u32>,
+    /// From this triangle on they are pieces behind the cells of round walls.
+    pub(crate) first_back: usize,
     /// Points without a normal, which are drawn as dots.
     pub(crate) bare: Vec<Vec3>,
 }
@@ -115,15 +117,12 @@ impl Stage {
         stage.corner = stage.smoothed(&corners);
         for (i, cell) in cells.iter().enumerate() {
             stage.add(i as u32, stage.position[i], cell);
-            if !stage.flat[i] && stage.spacing[i] > 0.0 {
-                // The cells of a round wall do not join; what is seen between them is a piece of wall behind them.
-                let behind = sub(stage.position[i], scaled(stage.normal[i], BACK_DEPTH * stage.spacing[i]));
-                let grown = |corner: &Corner| {
-                    let way = sub(corner.place, stage.position[i]);
-                    Corner { place: add(behind, scaled(way, BACK_SCALE)), ..*corner }
-                };
-                let back: Vec<Corner> = cell.iter().map(grown).collect();
-                stage.add(i as u32, behind, &back);
+        }
+        stage.first_back = stage.triangles.len();
+        for (i, cell) in cells.iter().enumerate().filter(|(_, cell)| !cell.is_empty()) {
+            if !stage.flat[i] {
+                let (middle, polygon) = back(&stage, i, cell);
+                stage.add(i as u32, middle, &polygon);
             }
         }
         stage
@@ -276,7 +275,26 @@ fn cell(stage: &Stage, tree: &Tree, [low, high]: [Vec3; 2], i: usize) -> Vec<Cor
     polygon
 }
 
-/// A polygon of [`SIDES`] sides around a point, across its normal.
+/// The cells of a round wall do not join; what is seen between them is a piece of wall behind each: its middle and its
+/// corners. It is larger than the cell towards those beside it, and no larger where the wall ends.
+fn back(stage: &Stage, i: usize, cell: &[Corner]) -> (Vec3, Vec<Corner>) {
+    let (x, n) = (stage.position[i], stage.normal[i]);
+    let behind = sub(x, scaled(n, BACK_DEPTH * stage.spacing[i]));
+    let grown = |corner: &Corner| {
+        let place = add(behind, scaled(sub(corner.place, x), BACK_SCALE));
+        Corner { place, ..*corner }
+    };
+    let mut polygon: Vec<Corner> = cell.iter().map(grown).collect();
+    for (k, corner) in cell.iter().enumerate().filter(|(_, corner)| corner.after.is_none()) {
+        let along = sub(cell[(k + 1) % cell.len()].place, corner.place);
+        // Corners run counter-clockwise about the normal: this is to the left of the edge, where the cell is.
+        let inwards = cross(n, along);
+        clip(&mut polygon, None, |p| dot(sub(p, corner.place), inwards));
+    }
+    (behind, polygon)
+}
+
+/// A polygon of [`SIDES`] sides around a point, across its normal, counter-clockwise about it.
 fn disc(middle: Vec3, normal: Vec3, reach: f32) -> Vec<Corner> {
     let [right, up] = across(normal);
     let corner = |k: usize| {
@@ -352,7 +370,6 @@ fn corner(stage: &Stage, tree: &Tree, i: usize) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::vector::cross;
 
     /// Points on a square of side 1 as far apart as those of sampled walls, from an origin along two axes.
     fn square(origin: Vec3, along: [Vec3; 2]) -> Vec<Vec3> {
@@ -415,6 +432,27 @@ mod tests {
             assert!(reach > -1e-4, "{name}: {reach}");
             assert!(found > 0.95, "{name}: {found}");
         }
+    }
+
+    #[test]
+    fn a_round_wall_ends_at_its_rim() {
+        // A quarter of a pipe around z, 1 m long, up to whose ends few points lie.
+        let (mut position, mut normal) = (Vec::new(), Vec::new());
+        for (i, k) in (0..20).flat_map(|i| (0..40).map(move |k| (i, k))) {
+            let (sine, cosine) = (0.08 * i as f32).sin_cos();
+            let z = 0.013 + 0.025 * k as f32 + 0.012 * ((i * 7 + k * 5) % 9) as f32 / 9.0;
+            position.push([0.3 * cosine, 0.3 * sine, z]);
+            normal.push([-cosine, -sine, 0.0]);
+        }
+        let stage = Stage::new(Walls { position: &position, normal: &normal });
+        let ends = position
+            .iter()
+            .fold([f32::INFINITY, f32::NEG_INFINITY], |[low, high], p| [low.min(p[2]), high.max(p[2])]);
+        assert!(stage.first_back > 0 && stage.first_back < stage.triangles.len());
+        // Float32 rounding of cuts.
+        let beyond = |p: Vec3| (ends[0] - p[2]).max(p[2] - ends[1]) > 1e-5;
+        let out: Vec<Vec3> = stage.vertices.iter().map(|(p, _)| *p).filter(|p| beyond(*p)).collect();
+        assert!(out.is_empty(), "{out:?}");
     }
 
     #[test]

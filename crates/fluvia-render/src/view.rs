@@ -74,7 +74,7 @@ pub(crate) fn check(view: &View) -> Result<()> {
         return Err(Error::parameter("pitch in degrees", view.pitch, "-89 to 89"));
     }
     if !view.sweep.is_finite() {
-        return Err(Error::parameter("sweep in degrees", view.sweep, "a finite number"));
+        return Err(Error::parameter("turn of the camera in degrees", view.sweep, "a finite number"));
     }
     if let Some(angle) = view.field_of_view.filter(|angle| !(1.0..=MAX_FIELD).contains(angle)) {
         return Err(Error::parameter("angle of view in degrees", angle, "1 to 150"));

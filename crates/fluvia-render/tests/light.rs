@@ -1,6 +1,8 @@
 //! Surfaces, shadows, walls made of points, and cameras that move: what is known of their pictures.
 
-use fluvia_render::{Camera, Frame, Image, Stage, Style, Subject, Surface, Values, View, Walls, draw_frame};
+use fluvia_render::{
+    Camera, Error, Frame, Image, Stage, Style, Subject, Surface, Values, View, Walls, draw_frame,
+};
 
 const TILE: [u8; 3] = [24, 29, 37];
 const RADIUS: f32 = 0.025;
@@ -232,20 +234,27 @@ fn walls_of_points_have_no_holes_and_end_at_their_edges() {
             }
         }
     }
-    // The floor, all of it.
-    for k in 0..100 {
-        let [x, y, _] = camera
-            .project([0.0198 * (k % 10 * 10) as f32 - 0.99 + 0.09, -1.0, -0.9 + 0.02 * (k / 10 * 9) as f32])
-            .unwrap();
-        assert_ne!(image.get(x as u32, y as u32), Some(TILE), "hole in the floor at {x}, {y}");
+    // The floor, the back and the left side up to the top, all of them: what is seen from the front and the right.
+    for (axis, name) in [(1, "floor"), (2, "back"), (0, "side")] {
+        for k in 0..400 {
+            let along = |part: usize, other: usize| {
+                let high = if other == 1 { 0.45 } else { 0.95 };
+                -0.95 + (high + 0.95) * part as f32 / 19.0
+            };
+            let (first, second) = ((axis + 1) % 3, (axis + 2) % 3);
+            let mut point = [-1.0; 3];
+            (point[first], point[second]) = (along(k % 20, first), along(k / 20, second));
+            let [x, y, _] = camera.project(point).unwrap();
+            assert_ne!(image.get(x as u32, y as u32), Some(TILE), "hole in the {name} at {point:?}");
+        }
     }
     assert!(inside > 10_000, "{inside}");
 }
 
 #[test]
-fn a_wall_before_the_liquid_lets_it_shine_through() {
+fn a_wall_hides_the_liquid_behind_it_but_not_what_is_outside() {
     let (wall, _) = floor();
-    // Upright at z = 0.3, seen from its front; the sphere stands behind it.
+    // Upright at z = 0.3, seen from its front; the sphere and the ball of water stand behind it.
     let wall: Vec<[f32; 3]> = wall.into_iter().map(|[x, _, z]| [x, z, 0.3]).collect();
     let normal = vec![[0.0, 0.0, 1.0]; wall.len()];
     let walls = Walls { position: &wall, normal: &normal };
@@ -253,20 +262,29 @@ fn a_wall_before_the_liquid_lets_it_shine_through() {
     let particle = [[0.0, 0.0, 0.0]];
     let camera = camera(walls, &particle, &view);
     let style = Style { radius: 0.2, ..Style::default() };
-    let frame = Frame { position: &particle, values: Values::Color(&[[250, 40, 40]]), ..Frame::default() };
+    let image = |walls, frame: &Frame<'_>| draw_frame(frame, &Stage::new(walls), &camera, &style).unwrap();
     let color = |walls, frame: &Frame<'_>| {
-        let image = draw_frame(frame, &Stage::new(walls), &camera, &style).unwrap();
         let [x, y, _] = camera.project([0.0, 0.0, 0.2]).unwrap();
-        image.get(x as u32, y as u32).unwrap()
+        image(walls, frame).get(x as u32, y as u32).unwrap()
     };
-    let [bare, alone, both] =
-        [color(Walls::default(), &frame), color(walls, &Frame::default()), color(walls, &frame)];
-    // Between both, and more of the sphere.
-    let redness = |c: [u8; 3]| i32::from(c[0]) - i32::from(c[1]);
+    let alone = color(walls, &Frame::default());
+    let sphere = Frame { position: &particle, values: Values::Color(&[[250, 40, 40]]), ..Frame::default() };
+    let (position, normal, triangles) = ball([0.0; 3], 0.2);
+    let surface =
+        Surface { position: &position, normal: &normal, triangles: &triangles, values: Values::None };
+    let water = Frame { surface: Some(surface), ..Frame::default() };
+    assert_eq!((color(walls, &sphere), color(walls, &water)), (alone, alone));
+    // Outside: between both, and more of the sphere.
+    let outside = Frame { outside: &[true], ..sphere };
+    let (bare, both) = (color(Walls::default(), &outside), color(walls, &outside));
+    let redness = |c: [u8; 3]| i32::from(c[0]) - i32::from(c[2]);
     assert!(
         redness(both) > redness(alone) + 40 && redness(both) < redness(bare) - 20,
         "{bare:?} {alone:?} {both:?}"
     );
+    // With a surface that hides nothing the sphere outside shines through too.
+    let stray = Frame { surface: Some(Surface::default()), ..outside };
+    assert_eq!(color(walls, &stray), both);
 }
 
 #[test]
@@ -343,6 +361,49 @@ fn a_camera_stands_and_looks_where_it_is_told() {
     // It turns around what it looks at.
     let [x, y, _] = camera.turned(33.0).project(look_at).unwrap();
     assert!((x - 200.0).abs() < 0.01 && (y - 150.0).abs() < 0.01);
+}
+
+#[test]
+fn a_camera_that_sees_nothing_is_an_error() {
+    let (wall, normal) = floor();
+    let mut subject = Subject::new(Walls { position: &wall, normal: &normal }, RADIUS);
+    subject.add(&[[0.0, 0.2, 0.0]]);
+    let fit = |eye: Option<[f32; 3]>, look_at: [f32; 3], field_of_view: f32, sweep: f32| {
+        let field_of_view = Some(field_of_view);
+        Camera::fit(&subject, &View { eye, look_at: Some(look_at), field_of_view, sweep, ..View::default() })
+    };
+    // Behind it, beside it, over it; and by yaw and pitch, far behind the scene.
+    let away = [
+        (Some([0.0, 1.0, 5.0]), [0.0, 1.0, 10.0]),
+        (Some([0.0, 1.0, 5.0]), [9.0, 1.0, 4.0]),
+        (Some([0.0, 1.0, 5.0]), [0.0, 9.0, 1.0]),
+        (None, [-40.0, 0.0, -90.0]),
+    ];
+    for (eye, look_at) in away {
+        let found = fit(eye, look_at, 20.0, 0.0);
+        assert!(matches!(found, Err(Error::OutOfView)), "{eye:?} {look_at:?}: {found:?}");
+    }
+    // From within it, near to it, and seen only in the course of a turn.
+    assert!(fit(Some([0.0, 0.5, 0.0]), [0.3, 0.0, 0.2], 90.0, 0.0).is_ok());
+    assert!(fit(Some([0.0, 0.3, 0.2]), [0.013, 0.0, 0.017], 1.0, 0.0).is_ok());
+    assert!(fit(Some([0.0, 1.0, 5.0]), [9.0, 1.0, 4.0], 20.0, 180.0).is_ok());
+}
+
+#[test]
+fn the_walls_of_several_scenes_frame_a_picture_as_one() {
+    let (wall, normal) = floor();
+    let high: Vec<[f32; 3]> = wall.iter().map(|[x, _, z]| [*x, z + 2.0, -1.0]).collect();
+    let all = [wall.clone(), high].concat();
+    let walls = Walls { position: &all, normal: &[] };
+    let particles = [[0.0, 0.3, 0.0], [0.2, 0.1, 0.1]];
+    let view = View { width: 300, ..View::default() };
+    let alone = camera(walls, &particles, &view);
+    let mut subject = Subject::new(walls, RADIUS);
+    subject.add_walls(walls);
+    subject.add_walls(Walls { position: &wall, normal: &normal });
+    subject.add(&particles);
+    // The top is that of the particles, whatever the walls.
+    assert_eq!(Camera::fit(&subject, &view).unwrap(), alone);
 }
 
 #[test]
