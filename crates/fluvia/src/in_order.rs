@@ -1,7 +1,9 @@
 //! Frames worked on by several threads and taken in their order, with few of them in memory.
 
 use std::collections::BTreeMap;
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::thread;
 
 use anyhow::Result;
 
@@ -21,7 +23,8 @@ struct State<R> {
     next: usize,
     /// How many results were taken.
     taken: usize,
-    results: BTreeMap<usize, Result<R>>,
+    /// What the work gave, or the panic that it ended with.
+    results: BTreeMap<usize, thread::Result<Result<R>>>,
     stopped: bool,
 }
 
@@ -45,7 +48,7 @@ impl<R> Queue<R> {
         (!state.stopped && index < items).then_some(index)
     }
 
-    fn finish(&self, index: usize, result: Result<R>) {
+    fn finish(&self, index: usize, result: thread::Result<Result<R>>) {
         self.lock().results.insert(index, result);
         self.changed.notify_all();
     }
@@ -56,24 +59,33 @@ impl<R> Queue<R> {
             if let Some(result) = state.results.remove(&index) {
                 state.taken += 1;
                 self.changed.notify_all();
-                return result;
+                drop(state);
+                return result.unwrap_or_else(|panic| resume_unwind(panic));
             }
             state = self.wait(state);
         }
     }
+}
 
-    fn stop(&self) {
-        self.lock().stopped = true;
-        self.changed.notify_all();
+/// Lets the threads end when the one that takes results has ended, be it by a panic: they would wait for it for ever.
+struct StopAtEnd<'a, R>(&'a Queue<R>);
+
+impl<R> Drop for StopAtEnd<'_, R> {
+    fn drop(&mut self) {
+        self.0.lock().stopped = true;
+        self.0.changed.notify_all();
     }
 }
 
-/// Calls `work` on the items, several at once on `threads` threads, and `take` with the results, one after another in
-/// the order of the items. At most two results a thread are in memory. The first error in the order of the items ends
-/// it, whatever the threads.
+/// Calls `work` on the items, several at once on `threads` threads, and `take` with the results on the caller's, one after
+/// another in the order of the items. At most two results a thread are in memory. The first error in the order of the
+/// items ends it, whatever the threads.
 ///
 /// # Errors
 /// Those of `work` and `take`.
+///
+/// # Panics
+/// If `work` or `take` do.
 pub fn in_order<T: Sync, R: Send>(
     threads: usize,
     items: &[T],
@@ -87,23 +99,25 @@ pub fn in_order<T: Sync, R: Send>(
     let own = |worker| threads.max(1) / workers + usize::from(worker < threads % workers);
     let pools = (0..workers).map(|worker| thread_pool(Some(own(worker)))).collect::<Result<Vec<_>>>()?;
     let (queue, work) = (&queue, &work);
-    std::thread::scope(|scope| {
+    thread::scope(|scope| {
         for pool in pools {
             scope.spawn(move || {
                 while let Some(index) = queue.begin(items.len(), AHEAD * workers) {
-                    queue.finish(index, pool.install(|| work(&items[index])));
+                    // Whoever takes the result gets the panic; here it would only leave the others waiting.
+                    let work = AssertUnwindSafe(|| pool.install(|| work(&items[index])));
+                    queue.finish(index, catch_unwind(work));
                 }
             });
         }
-        let taken = items.iter().enumerate().try_for_each(|(index, item)| take(item, queue.take(index)?));
-        queue.stop();
-        taken
+        let _stop = StopAtEnd(queue);
+        items.iter().enumerate().try_for_each(|(index, item)| take(item, queue.take(index)?))
     })
 }
 
 #[cfg(test)]
 mod tests {
     use std::sync::atomic::{AtomicUsize, Ordering};
+    use std::sync::mpsc;
     use std::time::Duration;
 
     use anyhow::bail;
@@ -120,7 +134,7 @@ mod tests {
                 &items,
                 |&item| {
                     begun.fetch_add(1, Ordering::SeqCst);
-                    std::thread::sleep(Duration::from_micros((item as u64 * 7919) % 500));
+                    thread::sleep(Duration::from_micros((item as u64 * 7919) % 500));
                     Ok(3 * item)
                 },
                 |&item, result| {
@@ -153,5 +167,33 @@ mod tests {
         let error =
             in_order(4, &items, |_| Ok(()), |&item, ()| if item == 3 { bail!("full") } else { Ok(()) });
         assert_eq!(error.unwrap_err().to_string(), "full");
+    }
+
+    #[test]
+    fn a_panic_ends_it_too() {
+        let items: Vec<usize> = (0..50).collect();
+        // The item at which the work panics, and the one at which the result is taken.
+        for (threads, at_work, at_take) in [(1, 6, 99), (3, 6, 99), (8, 0, 99), (1, 99, 4), (3, 99, 4)] {
+            let (sender, receiver) = mpsc::channel();
+            let items = items.clone();
+            // On a thread of its own, for a program that hangs is no result of a test.
+            thread::spawn(move || {
+                let mut taken = 0;
+                let work = |&item: &usize| if item == at_work { panic!("work") } else { Ok(()) };
+                let ended = catch_unwind(AssertUnwindSafe(|| {
+                    in_order(threads, &items, work, |&item, ()| {
+                        assert!(item != at_take, "take");
+                        taken += 1;
+                        Ok(())
+                    })
+                }));
+                let panic = ended.expect_err("a panic");
+                let said = panic.downcast_ref::<&str>().map(|said| (*said).to_owned());
+                sender.send((said, taken)).expect("a test that waits");
+            });
+            let expected = if at_work < 50 { ("work", at_work) } else { ("take", at_take) };
+            let (said, taken) = receiver.recv_timeout(Duration::from_secs(60)).expect("an end");
+            assert_eq!((said.as_deref(), taken), (Some(expected.0), expected.1), "{threads} threads");
+        }
     }
 }
