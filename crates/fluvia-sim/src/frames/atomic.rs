@@ -123,14 +123,14 @@ pub(super) fn is_temporary_of(name: &str, target: &str) -> bool {
     target_of(name) == Some(target)
 }
 
-/// Removes the temporary files in a folder that killed processes have left of files whose names begin with `name`.
+/// Removes the temporary files in a folder that killed processes have left of files whose names are among these.
 ///
 /// # Errors
 /// `Io`.
-pub fn remove_temporaries(folder: &Path, name: &str) -> Result<()> {
+pub fn remove_temporaries(folder: &Path, is_among: impl Fn(&str) -> bool) -> Result<()> {
     for entry in fs::read_dir(folder).map_err(Error::io(folder))? {
         let file_name = entry.map_err(Error::io(folder))?.file_name();
-        if file_name.to_str().and_then(target_of).is_some_and(|target| target.starts_with(name)) {
+        if file_name.to_str().and_then(target_of).is_some_and(&is_among) {
             let path = folder.join(file_name);
             fs::remove_file(&path).map_err(Error::io(path))?;
         }

@@ -54,7 +54,7 @@ pub fn begin(out: &Path, settings: &Settings, shard: bool) -> Result<()> {
         frames::write_json(&path, &manifest)?;
     }
     if !shard {
-        frames::remove_temporaries(out, FILE)?;
+        frames::remove_temporaries(out, |target| target == FILE)?;
     }
     FOLDERS.iter().try_for_each(|name| make_folder(&out.join(name)))
 }

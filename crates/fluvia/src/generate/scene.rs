@@ -112,7 +112,7 @@ pub fn make(
     progress: &Progress<'_>,
 ) -> Result<Outcome> {
     let files = Files { folder: folder(out, task), name: task.name.clone() };
-    frames::remove_temporaries(&files.folder, &files.name)?;
+    frames::remove_temporaries(&files.folder, |target| target.starts_with(&files.name))?;
     if files.record().exists() {
         let record: Record = frames::read_json(&files.record())?;
         if files.part_lengths(record.parts.len() as u64) == record.parts {

@@ -67,19 +67,30 @@ impl Folder {
     /// Runs what has begun with `file` when Ctrl-C comes, and must then stop by itself.
     #[cfg(unix)]
     pub fn interrupt(&self, arguments: &str, file: &str) -> Run {
-        self.interrupt_command(self.command(arguments), arguments, file)
+        self.interrupt_when(arguments, |_| self.path(file).exists())
+    }
+
+    /// The same of what has begun when `has_begun`, which gets the number of the process.
+    #[cfg(unix)]
+    pub fn interrupt_when(&self, arguments: &str, has_begun: impl Fn(u32) -> bool) -> Run {
+        self.interrupt_command(self.command(arguments), arguments, has_begun)
     }
 
     /// The same of a command with an environment of its own.
     #[cfg(unix)]
-    pub fn interrupt_command(&self, mut command: Command, arguments: &str, file: &str) -> Run {
+    pub fn interrupt_command(
+        &self,
+        mut command: Command,
+        arguments: &str,
+        has_begun: impl Fn(u32) -> bool,
+    ) -> Run {
         use std::process::Stdio;
         use std::time::{Duration, Instant};
         let child =
             command.stderr(Stdio::piped()).stdout(Stdio::piped()).spawn().expect("the program starts");
         let start = Instant::now();
-        while !self.path(file).exists() {
-            assert!(start.elapsed() < Duration::from_secs(60), "{arguments}: no {file} after a minute");
+        while !has_begun(child.id()) {
+            assert!(start.elapsed() < Duration::from_secs(60), "{arguments}: not begun after a minute");
             std::thread::sleep(Duration::from_millis(2));
         }
         let pid = child.id().to_string();

@@ -63,6 +63,30 @@ fn options_change_the_surface_and_threads_do_not() {
     assert!(size("--normal-smoothing 0") == usual, "normals alone");
 }
 
+/// A folder with frames that small liquids fill: a block of particles off the lattice, smaller in each.
+fn with_clouds() -> Folder {
+    let folder = Folder::new();
+    std::fs::create_dir(folder.path("run")).expect("a folder");
+    for number in 0..5 {
+        let at = |i: usize, step: f32| 0.4 * (step * i as f32).fract();
+        let line = |i| format!("{} {} {}", at(i, 0.618_034), at(i, 0.754_877), at(i, 0.569_84));
+        let lines: Vec<String> = (0..1500 - 200 * number).map(line).collect();
+        folder.write(&format!("run/fluid_{number:04}.ply"), cloud(&lines));
+    }
+    folder
+}
+
+#[test]
+fn a_small_liquid_has_one_surface_whatever_the_threads() {
+    let folder = with_clouds();
+    folder.succeed("mesh run -o one --frames 0 --threads 1");
+    // One frame has all the threads.
+    for threads in [2, 7, 2, 7] {
+        folder.succeed(&format!("mesh run -o other --frames 0 --overwrite --threads {threads}"));
+        assert!(folder.files("one") == folder.files("other"), "{threads} threads");
+    }
+}
+
 #[test]
 fn a_directory_with_surfaces_is_not_overwritten_by_chance() {
     let folder = with_run();
@@ -73,9 +97,45 @@ fn a_directory_with_surfaces_is_not_overwritten_by_chance() {
     assert!(run.stderr.contains("surface_0000.ply") && run.stderr.contains("--overwrite"), "{}", run.stderr);
     // One that fails before its first surface has removed nothing.
     folder.fail("mesh run -o surfaces --overwrite --frames 9", &["frame 9", "0 to 6"]);
-    assert_eq!(names(&folder, "surfaces").len(), 4);
-    folder.succeed("mesh run -o surfaces --overwrite --format obj --frames 1");
-    assert_eq!(names(&folder, "surfaces"), ["mine.ply", "surface_0001.obj"]);
+    let before = folder.files("surfaces");
+    assert_eq!(before.len(), 4);
+    // Other frames and other formats are nobody's business.
+    folder.succeed("mesh run -o surfaces --frames 5");
+    folder.succeed("mesh run -o surfaces --format obj --frames 1");
+    let run = folder.succeed("mesh run -o surfaces --overwrite --frames 1 --cube-size 1");
+    assert!(run.stderr.contains("3 surfaces of other frames"), "{}", run.stderr);
+    let after = folder.files("surfaces");
+    let expected = ["mine", "surface_0000", "surface_0001", "surface_0001", "surface_0002", "surface_0005"];
+    assert!(after.keys().map(|name| name.split('.').next().unwrap()).eq(expected), "{:?}", after.keys());
+    for (name, bytes) in &before {
+        assert_eq!(after[name] == *bytes, name != "surface_0001.ply", "{name}");
+    }
+    // A temporary file of a process that works on other frames stays, one of these frames was left by a killed one.
+    folder.write("surfaces/.surface_0006.ply.123.tmp", "other");
+    folder.write("surfaces/.surface_0003.ply.123.tmp", "killed");
+    folder.succeed("mesh run -o surfaces --frames 3");
+    assert!(folder.path("surfaces/.surface_0006.ply.123.tmp").exists());
+    assert!(!folder.path("surfaces/.surface_0003.ply.123.tmp").exists());
+}
+
+#[test]
+fn what_was_stopped_goes_on() {
+    let folder = with_clouds();
+    folder.succeed("mesh run -o whole");
+    folder.succeed("mesh run -o part --frames 1,3");
+    // What is there stays as it is, were it another's.
+    folder.write("part/surface_0003.ply", "mine");
+    folder.succeed("mesh run -o part --resume");
+    let (whole, mut part) = (folder.files("whole"), folder.files("part"));
+    assert_eq!(
+        part.insert("surface_0003.ply".into(), whole["surface_0003.ply"].clone()),
+        Some(b"mine".to_vec())
+    );
+    assert!(part == whole);
+    // Nothing is left to do.
+    folder.succeed("mesh run -o whole --resume");
+    assert!(folder.files("whole") == whole);
+    assert_eq!(folder.run("mesh run -o whole --resume --overwrite").code, Some(2));
 }
 
 #[test]
@@ -141,14 +201,28 @@ fn ctrl_c_leaves_whole_surfaces() {
     (0..60).for_each(|k| folder.write(&format!("run/fluid_{k:04}.ply"), &block));
     let run =
         folder.interrupt("mesh run -o surfaces --threads 2 --cube-size 0.2", "surfaces/surface_0001.ply");
-    assert!(run.stderr.contains("stopped after"), "{}", run.stderr);
-    let names = names(&folder, "surfaces");
-    assert!((1..60).contains(&names.len()), "{names:?}");
-    for name in names {
+    let left = names(&folder, "surfaces");
+    assert!((1..60).contains(&left.len()), "{left:?}");
+    assert!(run.stderr.contains(&format!("stopped after {} of 60", left.len())), "{}", run.stderr);
+    assert!(run.stderr.contains("with --resume goes on"), "{}", run.stderr);
+    for name in left {
         assert!(!name.starts_with('.'), "{name}");
         let mesh = TriangleMesh::load(folder.path("surfaces").join(Path::new(&name))).unwrap();
         assert_eq!(mesh.open_edges(), 0, "{name}");
     }
+    // One that replaces others and is stopped leaves none of them that would be taken for its own.
+    (0..60).for_each(|k| folder.write(&format!("surfaces/surface_{k:04}.ply"), "old"));
+    let arguments = "mesh run -o surfaces --overwrite --threads 2 --cube-size 0.2";
+    let run = folder.interrupt_when(arguments, |_| {
+        std::fs::read(folder.path("surfaces/surface_0000.ply")).is_ok_and(|bytes| bytes != b"old")
+    });
+    assert!(run.stderr.contains("--resume in place of --overwrite"), "{}", run.stderr);
+    let files = folder.files("surfaces");
+    assert!(
+        (1..60).contains(&files.len()) && files.values().all(|bytes| bytes != b"old"),
+        "{:?}",
+        files.keys()
+    );
 }
 
 #[cfg(target_os = "linux")]

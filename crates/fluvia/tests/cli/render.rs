@@ -299,7 +299,7 @@ fn ctrl_c_leaves_no_half_film() {
     std::fs::remove_dir_all(folder.path("out")).unwrap();
     std::fs::create_dir(folder.path("out")).unwrap();
     (0..2000).for_each(|k| folder.write(&format!("out/fluid_{k:04}.ply"), cloud(&["0 0 0", "1 1 1"])));
-    let run = folder.interrupt_command(command, arguments, "started");
+    let run = folder.interrupt_command(command, arguments, |_| folder.path("started").exists());
     assert!(run.stderr.contains("stopped"), "{}", run.stderr);
     assert!(films(&folder).is_empty(), "{:?}", films(&folder));
     assert!(start.elapsed().as_secs() < 50, "it waited for ffmpeg");
