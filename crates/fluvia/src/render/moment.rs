@@ -50,9 +50,10 @@ pub struct Run {
 }
 
 impl Run {
-    /// Opens `FRAMES` or `LABEL=FRAMES`.
-    pub fn open(text: &str, dt: Option<f32>) -> Result<Run> {
-        let (label, source) = FrameSource::open_labelled(text, dt)?;
+    /// Opens `FRAMES` or `LABEL=FRAMES`; `dt` and `radius` count where they are not recorded.
+    pub fn open(text: &str, dt: Option<f32>, radius: Option<f32>) -> Result<Run> {
+        let (label, mut source) = FrameSource::open_labelled(text, dt)?;
+        source.assume_radius(radius);
         let mut opened = Run {
             label,
             path: source.path().to_path_buf(),
@@ -82,6 +83,13 @@ impl Run {
     /// If there is no such frame, or it cannot be read.
     pub fn read(&self, number: u64) -> Result<ParticleData> {
         Ok(self.source.lock().unwrap_or_else(PoisonError::into_inner).read(number)?)
+    }
+
+    /// Reads where the particles of a frame are, and what gives them their colours.
+    pub fn particles(&self, index: u64, color: Color) -> Result<(Vec<[f32; 3]>, Colors)> {
+        let data = self.read(index)?;
+        let colors = self.colors(color, &data.position, data.velocity.as_deref(), data.body);
+        Ok((data.position, colors))
     }
 
     /// Reads a frame and makes of it what is drawn; with `surface`, their surface by these parameters.

@@ -5,7 +5,9 @@ use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::Path;
 use std::process::{Child, ChildStdin, Command, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
+use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use fluvia_render::Image;
@@ -13,6 +15,9 @@ use fluvia_sim::frames::Replacement;
 
 /// Quality of x264: 18 looks the same as the pictures.
 const QUALITY: &str = "18";
+
+/// How long ffmpeg is left alone at its end before Ctrl-C is looked for.
+const POLL: Duration = Duration::from_millis(10);
 
 /// A film that is being written; without [`finish`](Mp4::finish) nothing is left of it.
 pub struct Mp4 {
@@ -84,14 +89,22 @@ impl Mp4 {
         }
     }
 
-    /// Ends the film and gives it its name.
-    pub fn finish(mut self) -> Result<()> {
+    /// Ends the film and gives it its name; false if it was interrupted while ffmpeg encodes what it has.
+    pub fn finish(mut self, interrupted: &AtomicBool) -> Result<bool> {
+        self.pictures = None;
+        while self.child.try_wait().context("ffmpeg")?.is_none() {
+            if interrupted.load(Ordering::Relaxed) {
+                return Ok(false);
+            }
+            std::thread::sleep(POLL);
+        }
         self.wait()?;
         let temporary = self.file.as_ref().map(Replacement::temporary);
         if !temporary.is_some_and(|path| is_whole(path).unwrap_or(false)) {
             bail!("{}: ffmpeg wrote part of the film only, as on a full disk", self.name);
         }
-        Ok(self.file.take().map_or(Ok(()), Replacement::commit)?)
+        self.file.take().map_or(Ok(()), Replacement::commit)?;
+        Ok(true)
     }
 
     /// Waits for ffmpeg; its last line is the error if there is one.

@@ -75,14 +75,15 @@ impl Writer {
         Ok(())
     }
 
-    /// Writes what is not written yet.
-    pub fn finish(self, path: &Path) -> Result<()> {
+    /// Writes what is not written yet; false if it was interrupted.
+    pub fn finish(self, path: &Path, interrupted: &AtomicBool) -> Result<bool> {
         match self {
             Writer::Gif { encoder, .. } => {
                 let bytes = encoder.finish()?;
-                Ok(frames::write_atomically(path, |file| file.write_all(&bytes))?)
+                frames::write_atomically(path, |file| file.write_all(&bytes))?;
+                Ok(true)
             }
-            Writer::Mp4 { film, .. } => film.finish(),
+            Writer::Mp4 { film, .. } => film.finish(interrupted),
         }
     }
 }

@@ -22,10 +22,10 @@ fn size(folder: &Folder, name: &str) -> (u32, u32) {
     (number(16), number(20))
 }
 
-/// The width of a GIF.
-fn gif_width(folder: &Folder, name: &str) -> u16 {
+/// The width and height of a GIF.
+fn gif_size(folder: &Folder, name: &str) -> (u16, u16) {
     let bytes = bytes(folder, name);
-    u16::from_le_bytes([bytes[6], bytes[7]])
+    (u16::from_le_bytes([bytes[6], bytes[7]]), u16::from_le_bytes([bytes[8], bytes[9]]))
 }
 
 #[test]
@@ -73,6 +73,14 @@ fn what_cannot_be_drawn() {
         ("render out -o a.png --frames 8..9", ["8 to 9", "0 to 6"]),
         ("render out -o a.png --eye 0,9,0 --look-at 0,0,0", ["place of the camera", "beside"]),
         ("render out -o a.png --field-of-view 170", ["angle of view", "170"]),
+        ("render out -o a.png --eye 0,1,5 --look-at 0,1,10", ["--eye and --look-at", "in view"]),
+        (
+            "render out -o a.gif --eye 0,1,5 --look-at 9,1,4 --field-of-view 20",
+            ["--eye and --look-at", "in view"],
+        ),
+        ("render out -o a.png --look-at -40,0,-90", ["--look-at", "in view"]),
+        ("render out -o a.png --size 9000x9000", ["9000 x 9000", "a smaller picture"]),
+        ("render out -o a.png --body-names a,b", ["--body-names", "--color body"]),
         ("render out -o a.png --size 20x99999", ["height", "16384"]),
         ("render out -o a.png --surface --max-speed 3", ["--max-speed", "--color speed"]),
         ("render out -o a.png --every 2", ["--every", ".gif"]),
@@ -94,6 +102,9 @@ fn what_cannot_be_drawn() {
         "render out -o a.png --eye 1,2,3 --yaw 10",
         "render out -o a.png --cube-size 0.5",
         "render out -o a.png --frames 3..1",
+        "render out -o a.gif --orbit inf",
+        "render out -o a.gif --orbit nan",
+        "render out -o a.png --particle-radius 0",
     ] {
         assert_eq!(folder.run(arguments).code, Some(2), "{arguments}");
     }
@@ -131,9 +142,13 @@ fn films_show_ranges_of_frames_and_runs_side_by_side() {
     assert_eq!(delays(&folder, "part.gif"), [2, 2, 6, 6]);
     folder.succeed("render A=out -o one.gif --size 100 --frames 0..2");
     folder.succeed("render A=out B=out -o two.gif --size 100 --frames 0..2");
-    assert_eq!((gif_width(&folder, "one.gif"), gif_width(&folder, "two.gif")), (112, 218));
+    assert_eq!(gif_size(&folder, "one.gif").0, 112);
+    // Framed as alone: walls of a second run are not taken for particles.
+    assert_eq!(gif_size(&folder, "two.gif"), (218, gif_size(&folder, "one.gif").1));
     folder.succeed("render out -o plain.gif --size 100x60 --plain --frames 0..2");
-    assert_eq!(gif_width(&folder, "plain.gif"), 100);
+    assert_eq!(gif_size(&folder, "plain.gif"), (100, 60));
+    folder.succeed("render A=out B=out -o both.gif --size 100x60 --plain --frames 0..2 --color height");
+    assert_eq!(gif_size(&folder, "both.gif"), (200, 60));
     // A camera that moves shows something else.
     folder.succeed("render out -o turned.gif --size 100x60 --plain --frames 0..2 --orbit 90");
     assert!(bytes(&folder, "plain.gif") != bytes(&folder, "turned.gif"));
@@ -170,6 +185,46 @@ fn runs_that_do_not_go_together() {
 }
 
 #[test]
+fn frames_without_a_record_have_the_radius_that_is_given() {
+    let folder = Folder::new();
+    std::fs::create_dir(folder.path("foreign")).unwrap();
+    folder.write("foreign/fluid_0000.ply", cloud(&["0 0 0", "2 0 0"]));
+    // Which part of the picture is drawn grows with the radius, for spheres and surfaces.
+    for surface in ["", "--surface"] {
+        let drawn = |radius: &str| {
+            let options = "--size 200x100 --plain --yaw 0 --pitch 0";
+            folder
+                .succeed(&format!("render foreign -o a.png {options} {surface} --particle-radius {radius}"));
+            let file = std::io::BufReader::new(std::fs::File::open(folder.path("a.png")).unwrap());
+            let mut reader = png::Decoder::new(file).read_info().unwrap();
+            let mut pixels = vec![0; reader.output_buffer_size().unwrap()];
+            reader.next_frame(&mut pixels).unwrap();
+            let ground = pixels[..3].to_vec();
+            pixels.chunks_exact(3).filter(|pixel| **pixel != ground[..]).count()
+        };
+        let (small, large) = (drawn("0.1"), drawn("0.5"));
+        assert!(small > 10 && large > 5 * small, "{small} and {large} {surface}");
+    }
+    // Where it is recorded that counts.
+    let folder = with_run();
+    folder.succeed("render out -o one.png --size 100");
+    folder.succeed("render out -o other.png --size 100 --particle-radius 0.5");
+    assert!(bytes(&folder, "one.png") == bytes(&folder, "other.png"));
+}
+
+#[test]
+fn bodies_have_the_names_that_are_given() {
+    let folder = with_run();
+    for surface in ["", "--surface"] {
+        folder.succeed(&format!("render out -o usual.png --size 200 --color body {surface}"));
+        folder
+            .succeed(&format!("render out -o other.png --size 200 --color body {surface} --body-names oil"));
+        assert_eq!(size(&folder, "usual.png"), size(&folder, "other.png"));
+        assert!(bytes(&folder, "usual.png") != bytes(&folder, "other.png"));
+    }
+}
+
+#[test]
 fn nothing_one_particle_and_numbers_that_are_none() {
     let folder = Folder::new();
     for (name, points) in [("empty", vec![]), ("one", vec!["1 2 3"]), ("bad", vec!["0 0 0", "inf 0 0"])] {
@@ -187,10 +242,11 @@ fn nothing_one_particle_and_numbers_that_are_none() {
     assert_eq!(delays(&folder, "one.gif"), [2]);
 }
 
-/// Whether ffmpeg and ffprobe are installed; says so where they are not.
+/// Whether ffmpeg and ffprobe are installed; says so where they are not. In continuous integration they must be.
 fn has_ffmpeg() -> bool {
     let there = |program: &str| std::process::Command::new(program).arg("-version").output().is_ok();
     let found = there("ffmpeg") && there("ffprobe");
+    assert!(found || std::env::var_os("CI").is_none(), "no ffmpeg and ffprobe, which CI needs");
     if !found {
         eprintln!("skipped: ffmpeg and ffprobe are not installed");
     }
@@ -246,7 +302,6 @@ fn with_ffmpeg(script: &str) -> Folder {
     std::fs::create_dir(folder.path("bin")).expect("a folder");
     let path = "PATH=/usr/bin:/bin";
     folder.write("bin/ffmpeg", format!("#!/bin/sh\n{path}\n[ \"$1\" = -version ] && exit 0\n{script}\n"));
-    assert!(found || std::env::var_os("CI").is_none(), "no ffmpeg and ffprobe, which CI needs");
     std::fs::set_permissions(folder.path("bin/ffmpeg"), std::fs::Permissions::from_mode(0o755))
         .expect("permissions");
     folder
@@ -304,6 +359,50 @@ fn ctrl_c_leaves_no_half_film() {
     assert!(run.stderr.contains("stopped"), "{}", run.stderr);
     assert!(films(&folder).is_empty(), "{:?}", films(&folder));
     assert!(start.elapsed().as_secs() < 50, "it waited for ffmpeg");
+}
+
+#[cfg(unix)]
+#[test]
+fn ctrl_c_does_not_wait_for_the_end_of_a_film() {
+    // It has all pictures and does not end.
+    let folder = with_ffmpeg("cat > /dev/null; touch ending; sleep 60");
+    let arguments = "render out -o film.mp4 --size 100";
+    let mut command = folder.command(arguments);
+    command.env("PATH", folder.path("bin"));
+    let start = std::time::Instant::now();
+    let run = folder.interrupt_command(command, arguments, |_| folder.path("ending").exists());
+    assert!(run.stderr.contains("film.mp4: stopped"), "{}", run.stderr);
+    assert!(films(&folder).is_empty(), "{:?}", films(&folder));
+    assert!(start.elapsed().as_secs() < 50, "it waited for ffmpeg");
+}
+
+/// Whether a process has a handler for Ctrl-C.
+#[cfg(target_os = "linux")]
+fn catches_ctrl_c(process: u32) -> bool {
+    let status = std::fs::read_to_string(format!("/proc/{process}/status")).unwrap_or_default();
+    let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:"));
+    // SIGINT is signal 2, the second bit.
+    caught.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).is_some_and(|mask| mask & 2 != 0)
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn ctrl_c_ends_a_sheet() {
+    let folder = Folder::new();
+    std::fs::create_dir(folder.path("run")).unwrap();
+    // It would take minutes.
+    let at = |i: usize| {
+        format!("{} {} {}", 0.05 * (i % 20) as f32, 0.05 * (i / 400) as f32, 0.05 * (i / 20 % 20) as f32)
+    };
+    let block = cloud(&(0..8000).map(at).collect::<Vec<_>>());
+    (0..100).for_each(|k| folder.write(&format!("run/fluid_{k:04}.ply"), &block));
+    folder.write("sheet.png", "old");
+    let arguments = "render run -o sheet.png --sheet 10x10 --surface --cube-size 0.2 --threads 1";
+    let run = folder.interrupt_when(arguments, catches_ctrl_c);
+    assert!(run.stderr.contains("sheet.png: stopped, no picture"), "{}", run.stderr);
+    assert_eq!(bytes(&folder, "sheet.png"), b"old");
+    let names = std::fs::read_dir(folder.path("")).unwrap().map(|entry| entry.unwrap().file_name());
+    assert_eq!(names.count(), 2, "the run and the old picture");
 }
 
 #[cfg(target_os = "linux")]
