@@ -83,7 +83,7 @@ struct Dot {
 
 /// The least cosine between the normal of a round wall and the way to the eye from which on the pieces behind its cells
 /// are drawn: at the outline of the wall they would stick out.
-const BACK_TURN: f32 = 0.2;
+const BACK_TURN: f32 = 0.15;
 
 /// Which particles are drawn as spheres.
 pub(crate) type Spheres<'a> = &'a [(u32, Vec3)];

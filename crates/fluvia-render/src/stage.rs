@@ -59,9 +59,10 @@ const ON_EDGE: f32 = 0.1;
 const BEHIND: f32 = 0.3;
 /// How far beyond the line between two points a cell reaches, in parts of their distance: round walls have no cracks then.
 const OVERLAP: f32 = 0.02;
-/// The same on round walls, and how far cells reach over their edges there, in spacings.
+/// The same on round walls, and how far cells reach over inner and outer edges there, in spacings: over an inner edge they
+/// are behind the other wall.
 const ROUND_OVERLAP: f32 = 0.06;
-const ROUND_EDGE: f32 = 0.06;
+const ROUND_EDGES: [f32; 2] = [0.3, 0.06];
 /// Pieces of wall behind the cells of round walls: how much larger they are than those, and how far behind, in spacings.
 const BACK_SCALE: f32 = 1.35;
 const BACK_DEPTH: f32 = 0.25;
@@ -135,7 +136,7 @@ impl Stage {
         }
         let first = self.vertices.len() as u32;
         self.vertices.push((middle, [i, NONE, NONE]));
-        let of = |corner: &Corner| [i, corner.before.unwrap_or(NONE), corner.after.unwrap_or(NONE)];
+        let of = |corner: &Corner| [i, corner.before.point(), corner.after.point()];
         self.vertices.extend(polygon.iter().map(|corner| (corner.place, of(corner))));
         for k in 0..polygon.len() as u32 {
             self.triangles.push([first, first + 1 + k, first + 1 + (k + 1) % polygon.len() as u32]);
@@ -177,13 +178,32 @@ impl Stage {
 /// No point.
 const NONE: u32 = u32::MAX;
 
-/// A corner of a cell, and the points on the other side of the edges that end and begin there; none where the cell ends
-/// at another wall.
+/// A corner of a cell, and what is on the other side of the edges that end and begin there.
 #[derive(Clone, Copy)]
 struct Corner {
     place: Vec3,
-    before: Option<u32>,
-    after: Option<u32>,
+    before: Beyond,
+    after: Beyond,
+}
+
+/// What is on the other side of an edge of a cell.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Beyond {
+    /// The cell of a point of the same wall.
+    Point(u32),
+    /// Another wall that stands in the way.
+    Wall,
+    /// Nothing: the wall ends.
+    Nothing,
+}
+
+impl Beyond {
+    fn point(self) -> u32 {
+        match self {
+            Beyond::Point(point) => point,
+            Beyond::Wall | Beyond::Nothing => NONE,
+        }
+    }
 }
 
 /// How far apart the points around a point are, of those with its normal; 0 if there are none.
@@ -237,7 +257,7 @@ fn cell(stage: &Stage, tree: &Tree, [low, high]: [Vec3; 2], i: usize) -> Vec<Cor
         if dot(n, way).powi(2) < 0.25 * squared {
             let over = if stage.flat[i] && stage.flat[j] { OVERLAP } else { ROUND_OVERLAP };
             let limit = (0.5 + over) * squared;
-            clip(&mut polygon, Some(j as u32), |p| limit - dot(sub(p, x), way));
+            clip(&mut polygon, Beyond::Point(j as u32), |p| limit - dot(sub(p, x), way));
         }
     }
     for &(_, j) in near.iter().filter(|(_, j)| !is_same(*j)) {
@@ -262,21 +282,23 @@ fn cell(stage: &Stage, tree: &Tree, [low, high]: [Vec3; 2], i: usize) -> Vec<Cor
         };
         if dot(foot, foot) < (BESIDE * spacing).powi(2) && inside(x) > -clear && !near.iter().any(goes_on) {
             // Of a round wall the plane through a point is not where the wall is beside it.
-            let over = if stage.flat[i] && stage.flat[j] { 0.0 } else { ROUND_EDGE * spacing };
-            clip(&mut polygon, None, |p| inside(p) + over);
+            let [inner, outer] = ROUND_EDGES.map(|part| part * spacing);
+            let (beyond, over) = if side > 0.0 { (Beyond::Wall, inner) } else { (Beyond::Nothing, outer) };
+            let over = if stage.flat[i] && stage.flat[j] { 0.0 } else { over };
+            clip(&mut polygon, beyond, |p| inside(p) + over);
         }
     }
     // A round wall that lies along a side of the box bends inwards where its cells reach out.
     for k in 0..3 {
         let margin = if stage.flat[i] || n[k].abs() < ALONG { 0.0 } else { spacing };
-        clip(&mut polygon, None, |p| p[k] - low[k] + margin);
-        clip(&mut polygon, None, |p| high[k] - p[k] + margin);
+        clip(&mut polygon, Beyond::Nothing, |p| p[k] - low[k] + margin);
+        clip(&mut polygon, Beyond::Nothing, |p| high[k] - p[k] + margin);
     }
     polygon
 }
 
 /// The cells of a round wall do not join; what is seen between them is a piece of wall behind each: its middle and its
-/// corners. It is larger than the cell towards those beside it, and no larger where the wall ends.
+/// corners. It is larger than the cell, but no larger where the wall ends.
 fn back(stage: &Stage, i: usize, cell: &[Corner]) -> (Vec3, Vec<Corner>) {
     let (x, n) = (stage.position[i], stage.normal[i]);
     let behind = sub(x, scaled(n, BACK_DEPTH * stage.spacing[i]));
@@ -285,11 +307,12 @@ fn back(stage: &Stage, i: usize, cell: &[Corner]) -> (Vec3, Vec<Corner>) {
         Corner { place, ..*corner }
     };
     let mut polygon: Vec<Corner> = cell.iter().map(grown).collect();
-    for (k, corner) in cell.iter().enumerate().filter(|(_, corner)| corner.after.is_none()) {
+    let ends = |(_, corner): &(usize, &Corner)| corner.after == Beyond::Nothing;
+    for (k, corner) in cell.iter().enumerate().filter(ends) {
         let along = sub(cell[(k + 1) % cell.len()].place, corner.place);
         // Corners run counter-clockwise about the normal: this is to the left of the edge, where the cell is.
         let inwards = cross(n, along);
-        clip(&mut polygon, None, |p| dot(sub(p, corner.place), inwards));
+        clip(&mut polygon, Beyond::Nothing, |p| dot(sub(p, corner.place), inwards));
     }
     (behind, polygon)
 }
@@ -300,13 +323,13 @@ fn disc(middle: Vec3, normal: Vec3, reach: f32) -> Vec<Corner> {
     let corner = |k: usize| {
         let (sine, cosine) = (std::f32::consts::TAU * k as f32 / SIDES as f32).sin_cos();
         let place = add(middle, add(scaled(right, reach * cosine), scaled(up, reach * sine)));
-        Corner { place, before: None, after: None }
+        Corner { place, before: Beyond::Nothing, after: Beyond::Nothing }
     };
     (0..SIDES).map(corner).collect()
 }
 
-/// Keeps the part of a convex polygon where `inside` is not negative; `beyond` is the point on the other side.
-fn clip(polygon: &mut Vec<Corner>, beyond: Option<u32>, inside: impl Fn(Vec3) -> f32) {
+/// Keeps the part of a convex polygon where `inside` is not negative; `beyond` is what is on the other side.
+fn clip(polygon: &mut Vec<Corner>, beyond: Beyond, inside: impl Fn(Vec3) -> f32) {
     let values: Vec<f32> = polygon.iter().map(|corner| inside(corner.place)).collect();
     if values.iter().all(|&value| value >= 0.0) {
         return;

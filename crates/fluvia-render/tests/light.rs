@@ -252,6 +252,34 @@ fn walls_of_points_have_no_holes_and_end_at_their_edges() {
 }
 
 #[test]
+fn a_wall_above_a_round_one_joins_it() {
+    // A hump along x, and an upright wall at x = 0 that stands on it and faces x.
+    let (points, _) = floor();
+    let hump = |z: f32| (0.3_f32.powi(2) - z * z).sqrt();
+    let (mut wall, mut normal) = (Vec::new(), Vec::new());
+    for [along, _, across] in points {
+        let (sine, cosine) = (1.2 * across).sin_cos();
+        if along >= 0.0 && across.abs() < 0.3 {
+            wall.push([along, 0.3 * cosine, 0.3 * sine]);
+            normal.push([0.0, cosine, sine]);
+        }
+        if along.abs() < 0.25 && across + 0.5 > hump(along) {
+            wall.push([0.0, across + 0.5, along]);
+            normal.push([1.0, 0.0, 0.0]);
+        }
+    }
+    let walls = Walls { position: &wall, normal: &normal };
+    let camera = camera(walls, &[], &View { yaw: 90.0, pitch: 20.0, width: 800, ..View::default() });
+    let image = draw_frame(&Frame::default(), &Stage::new(walls), &camera, &Style::default()).unwrap();
+    for k in 0..200 {
+        // On the upright wall, right over the hump.
+        let z = 0.001 * k as f32 - 0.1;
+        let [x, y, _] = camera.project([0.0, hump(z) + 0.004, z]).unwrap();
+        assert_ne!(image.get(x as u32, y as u32), Some(TILE), "crack at {z}");
+    }
+}
+
+#[test]
 fn a_wall_hides_the_liquid_behind_it_but_not_what_is_outside() {
     let (wall, _) = floor();
     // Upright at z = 0.3, seen from its front; the sphere and the ball of water stand behind it.
