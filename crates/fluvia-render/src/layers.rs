@@ -1,4 +1,4 @@
-//! What each sample of a band of rows shows: the liquid, the nearest wall, and the nearest wall behind the liquid.
+//! What each sample of a band of rows shows: the liquid and the nearest wall; or the nearest wall behind the liquid.
 
 use rayon::prelude::*;
 
@@ -122,6 +122,11 @@ impl Shapes {
         let dots = Binned::new(dots, size, |dot| [dot.top, dot.top + dot.side - 1]);
         Shapes { samples, width, height, band: size.band, radius, discs, surface: liquid, walls, dots, top }
     }
+
+    /// The rows of a band: fewer at the end of the image.
+    fn rows(&self, band: usize) -> usize {
+        self.band.min(self.height - band * self.band)
+    }
 }
 
 impl Mesh {
@@ -178,8 +183,6 @@ pub(crate) struct Layers {
     pub thickness: Vec<f32>,
     /// The nearest wall, a triangle of the stage.
     pub wall: Vec<u64>,
-    /// The nearest wall behind the liquid, or the nearest without liquid.
-    pub behind: Vec<u64>,
     /// How much dots cover, 0 to 1; empty without them.
     pub dots: Vec<f32>,
 }
@@ -188,38 +191,53 @@ pub(crate) struct Layers {
 pub(crate) const SURFACE: u32 = 1 << 31;
 
 impl Layers {
-    /// Draws a band of rows, fewer at the end of the image.
+    /// Draws a band of rows.
     pub fn draw(shapes: &Shapes, band: usize) -> Layers {
-        let (width, first) = (shapes.width, band * shapes.band);
-        let rows = shapes.band.min(shapes.height - first);
-        let count = rows * width;
-        let mut liquid = vec![NOTHING; count];
-        shapes.discs.of_band(band).for_each(|disc| disc.draw(shapes.radius, width, first, &mut liquid));
-        let has_surface = !shapes.surface.triangles.shapes.is_empty();
-        let mut thickness = vec![0.0; if has_surface { count } else { 0 }];
-        shapes.surface.fill(shapes, band, rows, |at, face, depth| {
-            thickness[at] += if face.triangle.front { -depth } else { depth };
-            if face.triangle.front {
-                liquid[at] = liquid[at].min(key(depth, SURFACE + face.index));
-            }
-        });
-        let (mut wall, mut behind) = (vec![NOTHING; count], vec![NOTHING; count]);
+        let rows = shapes.rows(band);
+        let (liquid, thickness) = draw_liquid(shapes, band);
+        let mut wall = vec![NOTHING; liquid.len()];
         shapes.walls.fill(shapes, band, rows, |at, face, depth| {
-            let found = key(depth, face.index);
-            wall[at] = wall[at].min(found);
-            if liquid[at] == NOTHING || found > liquid[at] {
-                behind[at] = behind[at].min(found);
-            }
+            wall[at] = wall[at].min(key(depth, face.index));
         });
         let mut dots = Vec::new();
         if !shapes.dots.shapes.is_empty() {
-            dots = vec![0.0; count];
+            dots = vec![0.0; liquid.len()];
             for dot in shapes.dots.of_band(band) {
-                dot.draw(width, first, rows, &liquid, &mut dots);
+                dot.draw(shapes.width, band * shapes.band, rows, &liquid, &mut dots);
             }
         }
-        Layers { liquid, thickness, wall, behind, dots }
+        Layers { liquid, thickness, wall, dots }
     }
+}
+
+/// The nearest wall behind the liquid, or the nearest without liquid: keys of the samples of a band.
+pub(crate) fn behind_liquid(shapes: &Shapes, band: usize) -> Vec<u64> {
+    let (liquid, _) = draw_liquid(shapes, band);
+    let mut behind = vec![NOTHING; liquid.len()];
+    shapes.walls.fill(shapes, band, shapes.rows(band), |at, face, depth| {
+        let found = key(depth, face.index);
+        if liquid[at] == NOTHING || found > liquid[at] {
+            behind[at] = behind[at].min(found);
+        }
+    });
+    behind
+}
+
+/// What of the liquid the samples of a band show, and its thickness.
+fn draw_liquid(shapes: &Shapes, band: usize) -> (Vec<u64>, Vec<f32>) {
+    let (rows, first) = (shapes.rows(band), band * shapes.band);
+    let count = rows * shapes.width;
+    let mut liquid = vec![NOTHING; count];
+    shapes.discs.of_band(band).for_each(|disc| disc.draw(shapes.radius, shapes.width, first, &mut liquid));
+    let has_surface = !shapes.surface.triangles.shapes.is_empty();
+    let mut thickness = vec![0.0; if has_surface { count } else { 0 }];
+    shapes.surface.fill(shapes, band, rows, |at, face, depth| {
+        thickness[at] += if face.triangle.front { -depth } else { depth };
+        if face.triangle.front {
+            liquid[at] = liquid[at].min(key(depth, SURFACE + face.index));
+        }
+    });
+    (liquid, thickness)
 }
 
 /// The least radius of a disc, samples: a square's half diagonal, so that the smallest particle still covers the

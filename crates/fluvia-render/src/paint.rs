@@ -6,7 +6,7 @@ use crate::camera::Camera;
 use crate::color::{DOT, TILE, Tone, linear};
 use crate::draw::Surface;
 use crate::image::Image;
-use crate::layers::{Layers, SURFACE, Shapes};
+use crate::layers::{self, Layers, SURFACE, Shapes};
 use crate::light::{Lit, Shadow};
 use crate::shade::{Light, Reach};
 use crate::splat::shown;
@@ -127,8 +127,8 @@ impl Painter<'_> {
     pub fn behind(&self, shapes: &Shapes) -> Vec<Vec3> {
         let mut light = vec![linear(TILE); shapes.width * shapes.height];
         light.par_chunks_mut(shapes.width * shapes.band).enumerate().for_each(|(band, light)| {
-            let layers = Layers::draw(shapes, band);
-            for (at, (light, key)) in light.iter_mut().zip(layers.behind).enumerate() {
+            let keys = layers::behind_liquid(shapes, band);
+            for (at, (light, key)) in light.iter_mut().zip(keys).enumerate() {
                 let (x, y) = (at % shapes.width, band * shapes.band + at / shapes.width);
                 if let Some((depth, triangle)) = shown(key) {
                     *light = self.wall(triangle, [x as f32 + 0.5, y as f32 + 0.5, depth]);
@@ -152,8 +152,8 @@ impl Painter<'_> {
     ) -> Vec3 {
         groups.clear();
         let (mut empty, mut dots) = (0.0, 0.0);
-        for k in 0..shapes.samples * shapes.samples {
-            let (column, row) = (corner[0] + k % shapes.samples, corner[1] + k / shapes.samples);
+        let rows = corner[1]..corner[1] + shapes.samples;
+        for (column, row) in rows.flat_map(|row| (0..shapes.samples).map(move |k| (corner[0] + k, row))) {
             let at = row * shapes.width + column;
             let place = [column as f32 + 0.5, (band * shapes.band + row) as f32 + 0.5];
             let (liquid, wall) = (shown(layers.liquid[at]), shown(layers.wall[at]));

@@ -68,9 +68,14 @@ impl Triangle {
             let at = [left * part + CENTER, y * part + CENTER];
             let mut values = edges.map(|edge| edge.value(at));
             let row = (y - first as i64) as usize * width;
+            let mut entered = false;
             for x in left..=right {
                 if (values[0] | values[1] | values[2]) >= 0 {
+                    entered = true;
                     cover(row + x as usize, values[1] as f32 * scale, values[2] as f32 * scale);
+                } else if entered {
+                    // What has been left does not come again: triangles are convex.
+                    break;
                 }
                 (0..3).for_each(|k| values[k] += edges[k].step);
             }
