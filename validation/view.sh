@@ -1,8 +1,9 @@
 #!/usr/bin/env bash
-# How many frames `fluvia view` gets across, and what connections cost a simulation. Takes some minutes on an idle
-# machine; needs chromium for the part in the page. Prints what it measures, which validation/README.md lists.
+# How many frames `fluvia view` gets across, and what connections cost a simulation, all on the first two processors. Takes some
+# minutes on an idle machine; needs chromium for the part in the page. Prints what it measures, which validation/README.md lists.
 set -euo pipefail
 cd "$(dirname "$0")/.."
+taskset --cpu-list --pid 0,1 $$ > /dev/null
 folder=$(mktemp -d)
 program=target/release/fluvia
 server=""
@@ -44,13 +45,17 @@ for frames in 6k 100k; do
         --ignored --exact --nocapture view::page::frames_that_the_page_receives | grep 'a second'
 done
 
-echo "== a simulation (dam_break, dfsph) with one connection"
-serve dam_break --solver dfsph
-receive 1
-echo "== memory before the load"
-memory
-echo "== the same with 50 connections, and 10 that never read"
-receive 50 10
-echo "== memory after it"
-memory
-end
+# Each from the start of the scene, in turn; what the receivers themselves need comes from the same processors.
+for round in 1 2 3; do
+    for connections in "1 0" "50 10"; do
+        echo "== a simulation (dam_break, dfsph), connections and those of them that never read: $connections"
+        serve dam_break --solver dfsph
+        echo "memory before"
+        memory
+        # shellcheck disable=SC2086
+        time receive $connections
+        echo "memory after"
+        memory
+        end
+    done
+done
