@@ -24,6 +24,8 @@ pub(crate) struct Shapes {
     dots: Binned<Dot>,
     /// Walls are cut away above this height.
     top: f32,
+    /// How far before the liquid a wall is at least that hides it, metres.
+    pub before: f32,
 }
 
 /// Shapes and the bands that they touch.
@@ -85,12 +87,16 @@ struct Dot {
 /// are drawn: at the outline of the wall they would stick out.
 const BACK_TURN: f32 = 0.15;
 
+/// How far before the liquid a wall is at least that hides it, in particle radii: liquid may be drawn out to the walls that it
+/// rests at, and rounding would decide which of the two is nearer.
+const BEFORE: f32 = 0.1;
+
 /// Which particles are drawn as spheres.
 pub(crate) type Spheres<'a> = &'a [(u32, Vec3)];
 
 impl Shapes {
     /// Projects what is to be drawn. Particles have the indices that they are given; triangles of the surface follow
-    /// from `first_triangle` on.
+    /// from [`SURFACE`] on.
     pub fn new(
         spheres: Spheres<'_>,
         surface: Option<&Surface<'_>>,
@@ -120,7 +126,8 @@ impl Shapes {
         let walls = Mesh::new(stage.vertices.iter().map(|(p, _)| p), faces, camera, size, top);
         let dots = dots(stage, camera, radius, samples as f32);
         let dots = Binned::new(dots, size, |dot| [dot.top, dot.top + dot.side - 1]);
-        Shapes { samples, width, height, band: size.band, radius, discs, surface: liquid, walls, dots, top }
+        let (band, before) = (size.band, BEFORE * radius);
+        Shapes { samples, width, height, band, radius, discs, surface: liquid, walls, dots, top, before }
     }
 
     /// The rows of a band: fewer at the end of the image.
@@ -215,9 +222,8 @@ pub(crate) fn behind_liquid(shapes: &Shapes, band: usize) -> Vec<u64> {
     let (liquid, _) = draw_liquid(shapes, band);
     let mut behind = vec![NOTHING; liquid.len()];
     shapes.walls.fill(shapes, band, shapes.rows(band), |at, face, depth| {
-        let found = key(depth, face.index);
-        if liquid[at] == NOTHING || found > liquid[at] {
-            behind[at] = behind[at].min(found);
+        if shown(liquid[at]).is_none_or(|(liquid, _)| depth + shapes.before > liquid) {
+            behind[at] = behind[at].min(key(depth, face.index));
         }
     });
     behind

@@ -159,7 +159,7 @@ impl Painter<'_> {
             let (liquid, wall) = (shown(layers.liquid[at]), shown(layers.wall[at]));
             let mut under = 1.0;
             if let (Some((depth, index)), Some((front, triangle))) = (liquid, wall)
-                && front < depth
+                && front + shapes.before < depth
             {
                 let is_outside = self.outside.get(index as usize) == Some(&true);
                 let cover = if is_outside { FRONT_WALL } else { 1.0 };

@@ -316,6 +316,33 @@ fn a_wall_hides_the_liquid_behind_it_but_not_what_is_outside() {
 }
 
 #[test]
+fn water_that_is_drawn_out_to_a_wall_is_not_hidden_by_it() {
+    let (wall, wall_normal) = floor();
+    let walls = Walls { position: &wall, normal: &wall_normal };
+    // A slab whose upper side lies in the floor.
+    let corner = |k: u32| [0, 1, 2].map(|i| [[-0.6, -0.2, -0.6], [0.6, 0.0, 0.6]][(k >> i & 1) as usize][i]);
+    let position: Vec<[f32; 3]> = (0..8).map(corner).collect();
+    let faces = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]];
+    let triangles: Vec<[u32; 3]> = faces.iter().flat_map(|&[a, b, c, d]| [[a, c, b], [a, d, c]]).collect();
+    let normal = vec![[0.0, 1.0, 0.0]; 8];
+    let surface =
+        Surface { position: &position, normal: &normal, triangles: &triangles, values: Values::None };
+    let view = View { yaw: 20.0, pitch: 20.0, width: 300, ..View::default() };
+    let (stage, camera) = (Stage::new(walls), camera(walls, &[], &view));
+    let draw = |surface| {
+        let frame = Frame { surface, ..Frame::default() };
+        draw_frame(&frame, &stage, &camera, &Style::default()).unwrap()
+    };
+    let (bare, water) = (draw(None), draw(Some(surface)));
+    for k in 0..2500 {
+        let [x, z] = [k % 50, k / 50].map(|part| -0.55 + 1.1 * part as f32 / 49.0);
+        let [x, y, _] = camera.project([x, 0.0, z]).unwrap();
+        let blue = |image: &Image| image.get(x as u32, y as u32).map(|c| i32::from(c[2]) - i32::from(c[0]));
+        assert!(blue(&water) > blue(&bare).map(|blue| blue + 10), "floor at {x}, {y}");
+    }
+}
+
+#[test]
 fn surfaces_are_the_same_bits_at_any_number_of_threads() {
     let (wall, wall_normal) = floor();
     let walls = Walls { position: &wall, normal: &wall_normal };
