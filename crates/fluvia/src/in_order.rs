@@ -100,6 +100,8 @@ pub fn in_order<T: Sync, R: Send>(
     let pools = (0..workers).map(|worker| thread_pool(Some(own(worker)))).collect::<Result<Vec<_>>>()?;
     let (queue, work) = (&queue, &work);
     thread::scope(|scope| {
+        // Before there are threads: one that cannot be started must not leave the others waiting.
+        let _stop = StopAtEnd(queue);
         for pool in pools {
             scope.spawn(move || {
                 while let Some(index) = queue.begin(items.len(), AHEAD * workers) {
@@ -109,7 +111,6 @@ pub fn in_order<T: Sync, R: Send>(
                 }
             });
         }
-        let _stop = StopAtEnd(queue);
         items.iter().enumerate().try_for_each(|(index, item)| take(item, queue.take(index)?))
     })
 }

@@ -1,4 +1,5 @@
-//! Ctrl-C and SIGTERM: what runs ends its step, writes what it has and says how to go on.
+//! Ctrl-C and SIGTERM: what runs ends its step, writes what it has and says how to go on. Who does not want to wait for
+//! that asks again.
 
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -14,13 +15,19 @@ pub fn exit_code() -> ExitCode {
     ExitCode::from(INTERRUPTED)
 }
 
-/// A flag that is set when the program is asked to stop. To be called once.
+/// A flag that is set when the program is asked to stop; asked again it ends at once, which leaves no half file but
+/// temporary ones. To be called once.
 ///
 /// # Errors
 /// If the system refuses.
 pub fn watch() -> Result<Arc<AtomicBool>> {
     let interrupted = Arc::new(AtomicBool::new(false));
     let flag = Arc::clone(&interrupted);
-    ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("cannot watch for Ctrl-C")?;
+    let stop = move || {
+        if flag.swap(true, Ordering::Relaxed) {
+            std::process::exit(INTERRUPTED.into());
+        }
+    };
+    ctrlc::set_handler(stop).context("cannot watch for Ctrl-C")?;
     Ok(interrupted)
 }

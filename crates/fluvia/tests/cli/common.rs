@@ -2,6 +2,8 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+#[cfg(unix)]
+use std::process::{Child, Stdio};
 use std::process::{Command, Output};
 
 /// The small network of fixtures/weights, as the given file.
@@ -80,24 +82,28 @@ impl Folder {
     #[cfg(unix)]
     pub fn interrupt_command(
         &self,
-        mut command: Command,
+        command: Command,
         arguments: &str,
         has_begun: impl Fn(u32) -> bool,
     ) -> Run {
-        use std::process::Stdio;
-        use std::time::{Duration, Instant};
-        let child =
-            command.stderr(Stdio::piped()).stdout(Stdio::piped()).spawn().expect("the program starts");
-        let start = Instant::now();
-        while !has_begun(child.id()) {
-            assert!(start.elapsed() < Duration::from_secs(60), "{arguments}: not begun after a minute");
-            std::thread::sleep(Duration::from_millis(2));
-        }
-        let pid = child.id().to_string();
-        assert!(Command::new("kill").args(["-INT", &pid]).status().expect("kill").success());
-        let run = Run::new(arguments, child.wait_with_output().expect("an end"));
-        assert_eq!(run.code, Some(130), "{arguments}: {}", run.stderr);
-        run
+        let mut child = Running::start(command);
+        wait_for(&format!("{arguments}: the beginning"), || has_begun(child.0.id()));
+        ctrl_c(child.0.id());
+        wait_for(&format!("{arguments}: an end"), || child.0.try_wait().expect("a process").is_some());
+        child.end(arguments)
+    }
+
+    /// Runs what gets Ctrl-C again and again until it ends.
+    #[cfg(target_os = "linux")]
+    pub fn interrupt_until_it_ends(&self, arguments: &str) -> Run {
+        let mut child = Running::start(self.command(arguments));
+        wait_for(&format!("{arguments}: the beginning"), || catches_ctrl_c(child.0.id()));
+        wait_for(&format!("{arguments}: an end"), || {
+            ctrl_c(child.0.id());
+            std::thread::sleep(std::time::Duration::from_millis(20));
+            child.0.try_wait().expect("a process").is_some()
+        });
+        child.end(arguments)
     }
 
     /// Runs what must fail with one line that mentions all of `words`, and leave no directory `out`.
@@ -133,6 +139,65 @@ impl Folder {
             })
             .filter(|(name, _)| name != "run.json")
             .collect()
+    }
+}
+
+/// A process that does not outlive its test.
+#[cfg(unix)]
+struct Running(Child);
+
+#[cfg(unix)]
+impl Running {
+    fn start(mut command: Command) -> Running {
+        Running(command.stderr(Stdio::piped()).stdout(Stdio::piped()).spawn().expect("the program starts"))
+    }
+
+    /// What it did, which Ctrl-C has ended.
+    fn end(&mut self, arguments: &str) -> Run {
+        fn read(pipe: Option<impl std::io::Read>) -> Vec<u8> {
+            let mut bytes = Vec::new();
+            pipe.expect("a pipe").read_to_end(&mut bytes).expect("its output");
+            bytes
+        }
+        let (stdout, stderr) = (read(self.0.stdout.take()), read(self.0.stderr.take()));
+        let run = Run::new(arguments, Output { status: self.0.wait().expect("an end"), stdout, stderr });
+        assert_eq!(run.code, Some(130), "{arguments}: {}", run.stderr);
+        run
+    }
+}
+
+#[cfg(unix)]
+impl Drop for Running {
+    fn drop(&mut self) {
+        // What has ended cannot be killed.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// Whether a process has a handler for Ctrl-C.
+#[cfg(target_os = "linux")]
+pub fn catches_ctrl_c(process: u32) -> bool {
+    let status = std::fs::read_to_string(format!("/proc/{process}/status")).unwrap_or_default();
+    let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:"));
+    // SIGINT is signal 2, the second bit.
+    caught.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).is_some_and(|mask| mask & 2 != 0)
+}
+
+#[cfg(unix)]
+fn ctrl_c(process: u32) {
+    let status = Command::new("kill").args(["-INT", &process.to_string()]).status().expect("kill");
+    assert!(status.success(), "no process {process}");
+}
+
+/// Waits for what happens at once on an idle machine; after minutes it does not happen.
+#[cfg(unix)]
+fn wait_for(what: &str, mut is_there: impl FnMut() -> bool) {
+    use std::time::{Duration, Instant};
+    let start = Instant::now();
+    while !is_there() {
+        assert!(start.elapsed() < Duration::from_secs(180), "waited for {what}");
+        std::thread::sleep(Duration::from_millis(2));
     }
 }
 
@@ -189,6 +254,12 @@ pub fn cloud(points: &[impl std::fmt::Display]) -> String {
     let properties = "property float x\nproperty float y\nproperty float z\n";
     let points: String = points.iter().map(|point| format!("{point}\n")).collect();
     format!("ply\nformat ascii 1.0\nelement vertex {count}\n{properties}end_header\n{points}")
+}
+
+/// The text of a cloud whose surface takes a while: a block of 8,000 particles.
+pub fn block() -> String {
+    let at = |i: usize| [i % 20, i / 400, i / 20 % 20].map(|k| format!("{}", 0.05 * k as f32)).join(" ");
+    cloud(&(0..8000).map(at).collect::<Vec<_>>())
 }
 
 /// A block of 64 particles above the floor of a small container.

@@ -5,7 +5,7 @@ use std::path::Path;
 use fluvia_sim::frames;
 use fluvia_sim::mesh::TriangleMesh;
 
-use crate::common::{Folder, SCENE, cloud, sequence};
+use crate::common::{Folder, SCENE, block, cloud, sequence};
 
 /// A folder with a short run in `run`.
 fn with_run() -> Folder {
@@ -194,11 +194,7 @@ fn ctrl_c_leaves_whole_surfaces() {
     let folder = Folder::new();
     std::fs::create_dir(folder.path("run")).unwrap();
     // Large enough to be stopped in.
-    let at = |i: usize| {
-        format!("{} {} {}", 0.05 * (i % 20) as f32, 0.05 * (i / 400) as f32, 0.05 * (i / 20 % 20) as f32)
-    };
-    let block = cloud(&(0..8000).map(at).collect::<Vec<_>>());
-    (0..60).for_each(|k| folder.write(&format!("run/fluid_{k:04}.ply"), &block));
+    (0..60).for_each(|k| folder.write(&format!("run/fluid_{k:04}.ply"), block()));
     let run =
         folder.interrupt("mesh run -o surfaces --threads 2 --cube-size 0.2", "surfaces/surface_0001.ply");
     let left = names(&folder, "surfaces");
@@ -223,6 +219,17 @@ fn ctrl_c_leaves_whole_surfaces() {
         "{:?}",
         files.keys()
     );
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn who_asks_twice_does_not_wait() {
+    let folder = Folder::new();
+    std::fs::create_dir(folder.path("run")).unwrap();
+    // It is read for ever: nobody writes into it.
+    let fifo = folder.path("run/fluid_0000.ply");
+    assert!(std::process::Command::new("mkfifo").arg(fifo).status().expect("mkfifo").success());
+    folder.interrupt_until_it_ends("mesh run -o surfaces");
 }
 
 #[cfg(target_os = "linux")]

@@ -1,6 +1,6 @@
 //! `fluvia render`: pictures, sheets and films, of particles and of surfaces, and what they are not made of.
 
-use crate::common::{Folder, SCENE, cloud};
+use crate::common::{Folder, SCENE, block, cloud};
 
 /// A folder with a short run in `out`.
 fn with_run() -> Folder {
@@ -346,43 +346,30 @@ fn films_without_ffmpeg_or_with_one_that_fails() {
 #[cfg(unix)]
 #[test]
 fn ctrl_c_leaves_no_half_film() {
-    let folder = with_ffmpeg("touch started; sleep 0.2; cat > /dev/null; sleep 60");
+    let folder = with_ffmpeg("touch started; sleep 0.2; cat > /dev/null; exec sleep 3600");
     let arguments = "render out -o film.mp4 --size 100";
     let mut command = folder.command(arguments);
     command.env("PATH", folder.path("bin"));
     // Pictures that fill the pipe, so that it is stopped while it writes.
-    let start = std::time::Instant::now();
     std::fs::remove_dir_all(folder.path("out")).unwrap();
     std::fs::create_dir(folder.path("out")).unwrap();
     (0..2000).for_each(|k| folder.write(&format!("out/fluid_{k:04}.ply"), cloud(&["0 0 0", "1 1 1"])));
     let run = folder.interrupt_command(command, arguments, |_| folder.path("started").exists());
     assert!(run.stderr.contains("stopped"), "{}", run.stderr);
     assert!(films(&folder).is_empty(), "{:?}", films(&folder));
-    assert!(start.elapsed().as_secs() < 50, "it waited for ffmpeg");
 }
 
 #[cfg(unix)]
 #[test]
 fn ctrl_c_does_not_wait_for_the_end_of_a_film() {
     // It has all pictures and does not end.
-    let folder = with_ffmpeg("cat > /dev/null; touch ending; sleep 60");
+    let folder = with_ffmpeg("cat > /dev/null; touch ending; exec sleep 3600");
     let arguments = "render out -o film.mp4 --size 100";
     let mut command = folder.command(arguments);
     command.env("PATH", folder.path("bin"));
-    let start = std::time::Instant::now();
     let run = folder.interrupt_command(command, arguments, |_| folder.path("ending").exists());
     assert!(run.stderr.contains("film.mp4: stopped"), "{}", run.stderr);
     assert!(films(&folder).is_empty(), "{:?}", films(&folder));
-    assert!(start.elapsed().as_secs() < 50, "it waited for ffmpeg");
-}
-
-/// Whether a process has a handler for Ctrl-C.
-#[cfg(target_os = "linux")]
-fn catches_ctrl_c(process: u32) -> bool {
-    let status = std::fs::read_to_string(format!("/proc/{process}/status")).unwrap_or_default();
-    let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:"));
-    // SIGINT is signal 2, the second bit.
-    caught.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).is_some_and(|mask| mask & 2 != 0)
 }
 
 #[cfg(target_os = "linux")]
@@ -391,14 +378,10 @@ fn ctrl_c_ends_a_sheet() {
     let folder = Folder::new();
     std::fs::create_dir(folder.path("run")).unwrap();
     // It would take minutes.
-    let at = |i: usize| {
-        format!("{} {} {}", 0.05 * (i % 20) as f32, 0.05 * (i / 400) as f32, 0.05 * (i / 20 % 20) as f32)
-    };
-    let block = cloud(&(0..8000).map(at).collect::<Vec<_>>());
-    (0..100).for_each(|k| folder.write(&format!("run/fluid_{k:04}.ply"), &block));
+    (0..100).for_each(|k| folder.write(&format!("run/fluid_{k:04}.ply"), block()));
     folder.write("sheet.png", "old");
     let arguments = "render run -o sheet.png --sheet 10x10 --surface --cube-size 0.2 --threads 1";
-    let run = folder.interrupt_when(arguments, catches_ctrl_c);
+    let run = folder.interrupt_when(arguments, crate::common::catches_ctrl_c);
     assert!(run.stderr.contains("sheet.png: stopped, no picture"), "{}", run.stderr);
     assert_eq!(bytes(&folder, "sheet.png"), b"old");
     let names = std::fs::read_dir(folder.path("")).unwrap().map(|entry| entry.unwrap().file_name());
