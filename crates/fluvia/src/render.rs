@@ -53,7 +53,7 @@ pub struct Args {
     #[arg(long)]
     surface: bool,
     /// The side of the cubes that the surface is cut with, particle radii; 0.5 if not given.
-    #[arg(long, value_name = "RADII", requires = "surface", value_parser = surface::factor)]
+    #[arg(long, value_name = "RADII", requires = "surface", value_parser = surface::cube_size)]
     cube_size: Option<f32>,
     /// A contact sheet of COLUMNS x ROWS frames, evenly spread; several directories have a row each.
     #[arg(long, value_name = "COLUMNSxROWS", conflicts_with = "frame")]

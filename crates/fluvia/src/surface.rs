@@ -7,8 +7,8 @@
 //!
 //! The steps are splashsurf's (Löschner et al. 2023, "Weighted Laplacian Smoothing for Surface Reconstruction of
 //! Particle-based Fluids"). A vertex moves to the mean of its neighbours by the weight of the particles around it:
-//! w = s(n / 13), s(x) = x² (3 - 2 x), n_i = Σ_j (1 - |x_i - x_j|² / h²); 13 is n in the bulk. So the surface of a pool
-//! gets flat, and drops and sheets, which have few neighbours, keep their volume.
+//! w = s(n / n₀), s(x) = x² (3 - 2 x), n_i = Σ_j (1 - |x_i - x_j|² / (2 h)²); n₀ = 13 (h / 2 r)³ is n in the bulk, for
+//! smoothing lengths h and particle radii r. So the surface of a pool gets flat, and drops and sheets, which have few neighbours, keep their volume.
 //!
 //! The same particles give the same bits at any number of threads and processors:
 //! - the library makes its grid in subdomains, however small the liquid is; without them its threads add densities in the
@@ -39,11 +39,11 @@ pub use walls::to_walls;
 #[command(next_help_heading = "Surface")]
 pub struct Params {
     /// The smoothing length of the density, particle radii: a particle counts up to twice as far away.
-    #[arg(long, value_name = "RADII", default_value_t = Params::default().smoothing_length, value_parser = factor)]
+    #[arg(long, value_name = "RADII", default_value_t = Params::default().smoothing_length, value_parser = smoothing_length)]
     pub smoothing_length: f32,
     /// The side of the cubes that the surface is cut with, particle radii; half of it takes four times as many
     /// triangles.
-    #[arg(long, value_name = "RADII", default_value_t = Params::default().cube_size, value_parser = factor)]
+    #[arg(long, value_name = "RADII", default_value_t = Params::default().cube_size, value_parser = cube_size)]
     pub cube_size: f32,
     /// The density of the surface, parts of the density at rest.
     #[arg(long, value_name = "PART", default_value_t = Params::default().threshold, value_parser = threshold)]
@@ -62,10 +62,21 @@ impl Default for Params {
     }
 }
 
-/// Parses a length in particle radii. Outside of these there is no surface, or no end to its triangles.
-pub fn factor(text: &str) -> Result<f32, String> {
-    let number = text.parse().ok().filter(|x| (0.1..=10.0).contains(x));
-    number.ok_or_else(|| "expected a number of particle radii from 0.1 to 10".into())
+/// Parses the side of cubes. Smaller ones than these show nothing more of a liquid and take hours; without any of its
+/// corners in a particle it has no surface.
+pub fn cube_size(text: &str) -> Result<f32, String> {
+    radii(text, 0.2, 10.0)
+}
+
+/// Parses a smoothing length. Below these particles two radii apart do not reach each other; above, drops are lost.
+fn smoothing_length(text: &str) -> Result<f32, String> {
+    radii(text, 1.5, 3.0)
+}
+
+/// Parses a length in particle radii.
+fn radii(text: &str, least: f32, most: f32) -> Result<f32, String> {
+    let number = text.parse().ok().filter(|x| (least..=most).contains(x));
+    number.ok_or_else(|| format!("expected a number of particle radii from {least} to {most}"))
 }
 
 /// Parses a part of the density at rest. From 1 on the liquid itself would be outside.
@@ -74,9 +85,12 @@ fn threshold(text: &str) -> Result<f32, String> {
     number.ok_or_else(|| "expected a number above 0 and below 1".into())
 }
 
-/// The weighted number of neighbours of a particle in the bulk: 33 within two smoothing lengths of two radii, of weight
-/// 0.4 on average.
+/// The weighted number of neighbours of a particle in the bulk at a smoothing length of two radii: 33 within twice that, of
+/// weight 0.4 on average. It goes with the volume.
 const BULK_NEIGHBORS: f32 = 13.0;
+
+/// Particle radii in metres: squares of lengths do not overflow.
+const RADII: std::ops::RangeInclusive<f32> = 1e-15..=1e15;
 
 /// Iterations of the clean-up, which ends by itself when nothing is left to collapse.
 const CLEANUP_ITERATIONS: usize = 5;
@@ -84,7 +98,7 @@ const CLEANUP_ITERATIONS: usize = 5;
 /// The surface of the liquid around particles of a radius in metres; without particles one without triangles.
 ///
 /// # Errors
-/// If a position is not finite, particles are too far apart for one grid, or a vertex is not finite.
+/// If a position is not finite, particles are too far apart for one grid or no lengths, or a vertex is not finite.
 pub fn reconstruct(
     position: &[[f32; 3]],
     velocity: Option<&[[f32; 3]]>,
@@ -93,6 +107,10 @@ pub fn reconstruct(
 ) -> Result<Surface> {
     if position.is_empty() {
         return Ok(Surface { velocity: velocity.map(|_| Vec::new()), ..Surface::default() });
+    }
+    if !RADII.contains(&radius) {
+        let (least, most) = (RADII.start(), RADII.end());
+        bail!("a particle radius of {radius:e} m, expected one from {least:e} to {most:e} m");
     }
     let cubes = Cubes::around(position, radius, params)?;
     let points: Vec<Vector3<f32>> = position.iter().map(|&p| cubes.place(p)).collect();
@@ -117,7 +135,8 @@ pub fn reconstruct(
     let connectivity = mesh.vertex_vertex_connectivity();
     if params.smoothing > 0 {
         let neighbors = found.particle_neighbors.as_deref().unwrap_or_default();
-        let weights = bulk_weights(&points, neighbors, support);
+        let bulk = BULK_NEIGHBORS * (0.5 * params.smoothing_length).powi(3);
+        let weights = bulk_weights(&points, neighbors, support, bulk);
         let mut weights = interpolator.interpolate_scalar_quantity(&weights, &mesh.vertices, true);
         // Between cubes wider than particles lie vertices that no particle reaches: no bulk is around them.
         weights.iter_mut().filter(|weight| !weight.is_finite()).for_each(|weight| *weight = 0.0);
@@ -184,14 +203,14 @@ fn shares_within(near: f32, points: &[[f32; 3]], position: &[[f32; 3]]) -> Vec<V
 /// farther.
 const NEAR: f32 = 4.0;
 
-/// How much of the bulk each particle has around it, 0 to 1.
-fn bulk_weights(points: &[Vector3<f32>], neighbors: &[Vec<usize>], support: f32) -> Vec<f32> {
+/// How much of the bulk, `bulk` neighbours, each particle has around it, 0 to 1.
+fn bulk_weights(points: &[Vector3<f32>], neighbors: &[Vec<usize>], support: f32, bulk: f32) -> Vec<f32> {
     let weight = |(point, neighbors): (&Vector3<f32>, &Vec<usize>)| {
         let count: f32 = neighbors
             .iter()
             .map(|&other| (1.0 - (points[other] - point).norm_squared() / (support * support)).max(0.0))
             .sum();
-        let part = (count / BULK_NEIGHBORS).min(1.0);
+        let part = (count / bulk).min(1.0);
         part * part * (3.0 - 2.0 * part)
     };
     points.iter().zip(neighbors).map(weight).collect()
@@ -286,6 +305,28 @@ mod tests {
                 // Float32 rounding.
                 assert!((n.iter().map(|x| x * x).sum::<f32>() - 1.0).abs() < 1e-5);
             }
+        }
+    }
+
+    #[test]
+    fn smoothing_makes_pools_flat_and_leaves_sheets_at_any_smoothing_length() {
+        let sheet: Vec<[f32; 3]> = block(16, RADIUS).into_iter().filter(|p| p[1] == 0.0).collect();
+        // A short smoothing length makes bumps of particles, which a sheet loses when it is smoothed.
+        for (smoothing_length, most) in [(1.5, 0.08), (2.0, 0.035), (3.0, 0.035)] {
+            let made = |position: &[[f32; 3]], smoothing: u16| {
+                let params = Params { smoothing_length, smoothing, ..params() };
+                reconstruct(position, None, RADIUS, &params).unwrap().mesh
+            };
+            // What is on top of a block, away from its edges, is flat within a millimetre; its bumps are
+            // of three at the shortest length.
+            let top = made(&block(12, RADIUS), 25)
+                .positions
+                .into_iter()
+                .filter(|p| p[1] > 0.4 && [p[0], p[2]].iter().all(|x| (0.15..0.4).contains(x)));
+            let heights: Vec<f32> = top.map(|p| p[1]).collect();
+            assert!(heights.iter().all(|y| (y - heights[0]).abs() < 1e-3), "{smoothing_length}");
+            let lost = 1.0 - made(&sheet, 25).volume() / made(&sheet, 0).volume();
+            assert!(lost < most, "{smoothing_length}: {lost}");
         }
     }
 
@@ -413,6 +454,10 @@ mod tests {
         assert_eq!(reconstruct(&[], None, RADIUS, &params()).unwrap(), Surface::default());
         let error = reconstruct(&[[0.0; 3], [0.0, f32::NAN, 0.0]], None, RADIUS, &params()).unwrap_err();
         assert!(error.to_string().contains("particle 1"), "{error}");
+        for radius in [1e-38, 1e38, f32::INFINITY] {
+            let error = reconstruct(&[[0.0; 3]], Some(&[[0.0; 3]]), radius, &params()).unwrap_err();
+            assert!(error.to_string().contains("from 1e-15 to 1e15 m"), "{error}");
+        }
         let error = reconstruct(&[[0.0; 3], [0.0, 1e9, 0.0]], None, RADIUS, &params()).unwrap_err();
         assert!(error.to_string().contains("1000000000 m apart"), "{error}");
         // Far away, but not too far: two drops.
