@@ -13,7 +13,7 @@ use std::time::Instant;
 use anyhow::{Context, Result, bail};
 use fluvia_sim::Error;
 use fluvia_sim::frames::remove_temporaries;
-use fluvia_sim::mesh::SurfaceFormat;
+use fluvia_sim::mesh::{Surface, SurfaceFormat};
 
 use crate::frame_source::FrameSource;
 use crate::in_order::in_order;
@@ -32,7 +32,7 @@ Examples:
   fluvia mesh out/dam -o out/fine --cube-size 0.25 --smoothing 50 --overwrite
   fluvia mesh out/dam -o out/fine --cube-size 0.25 --smoothing 50 --resume
 
-Writes surface_0000.ply and so on, numbered as the frames: triangles in metres, counter-clockwise seen from outside, with
+Writes surface_0000.ply and so on, numbered as the frames: triangles in metres, counter-clockwise seen from outside, with \
 normals that point out of the liquid and the liquid's velocities (m/s; obj has no place for them).")]
 pub struct Args {
     /// The directory of a run, or a sequence of a data set: the folder of one, a part file, or the common prefix of its
@@ -57,7 +57,8 @@ pub struct Args {
     /// Replace surfaces of these frames that are in the directory.
     #[arg(long, conflicts_with = "resume")]
     overwrite: bool,
-    /// Go on where a command with the same options was stopped: surfaces that are in the directory stay.
+    /// Go on where a command with the same frames and options was stopped: surfaces that are in the directory stay. Those
+    /// that were made otherwise are an error.
     #[arg(long)]
     resume: bool,
     /// Threads; all cores if not given. Results do not depend on it.
@@ -71,10 +72,14 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
     let mut source = FrameSource::open(&args.source, None)?;
     source.assume_radius(args.particle_radius);
     let radius = source.particle_radius;
-    let numbers = chosen_frames(source.numbers(), &args.frames)?;
+    let mut numbers = chosen_frames(source.numbers(), &args.frames)?;
+    // Ranges may overlap.
+    numbers.sort_unstable();
+    numbers.dedup();
     let numbers: Vec<u64> = numbers.into_iter().step_by(args.every.get()).collect();
+    let comment = comment(args, radius);
     let mut directory = Directory::open(&args.output, args.format)?;
-    let (numbers, there) = directory.choose(numbers, args)?;
+    let (numbers, there) = directory.choose(numbers, args, &comment)?;
     let interrupted = interrupt::watch()?;
     let threads = args.threads.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from));
 
@@ -89,7 +94,7 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
         let frame = source.lock().unwrap_or_else(PoisonError::into_inner).read(number)?;
         let surface = reconstruct(&frame.position, frame.velocity.as_deref(), radius, &args.params)
             .with_context(|| format!("{}: frame {number}", args.source.display()))?;
-        surface.write(&directory.begin(number)?, args.format)?;
+        surface.write(&directory.begin(number)?, args.format, &comment)?;
         written.store(true, Ordering::Relaxed);
         Ok(Some(surface.mesh.triangles.len()))
     };
@@ -125,6 +130,16 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
+/// How a surface is made: what stands in its file, by which --resume knows it.
+fn comment(args: &Args, radius: f32) -> String {
+    let Params { smoothing_length, cube_size, threshold, smoothing, normal_smoothing } = args.params;
+    format!(
+        "fluvia mesh --smoothing-length {smoothing_length} --cube-size {cube_size} --threshold {threshold} \
+         --smoothing {smoothing} --normal-smoothing {normal_smoothing} --particle-radius {radius} {}",
+        args.source.display()
+    )
+}
+
 /// The directory of the surfaces.
 struct Directory {
     path: PathBuf,
@@ -157,8 +172,8 @@ impl Directory {
     /// The frames whose surfaces are to be made, and how many of the others have theirs.
     ///
     /// # Errors
-    /// If there are surfaces of them already, and neither to be replaced nor to stay.
-    fn choose(&mut self, mut numbers: Vec<u64>, args: &Args) -> Result<(Vec<u64>, usize)> {
+    /// If there are surfaces of them already, and neither to be replaced nor to stay, or to stay without this comment.
+    fn choose(&mut self, mut numbers: Vec<u64>, args: &Args, comment: &str) -> Result<(Vec<u64>, usize)> {
         let names: BTreeSet<String> = numbers.iter().map(|&number| self.name(number)).collect();
         let old: Vec<&String> = self.there.intersection(&names).collect();
         self.others = self.there.len() - old.len();
@@ -170,6 +185,12 @@ impl Directory {
             bail!(
                 "{path}: holds surfaces already ({name}), expected --overwrite, --resume or another directory"
             );
+        }
+        for name in old.iter().filter(|_| args.resume) {
+            let file = self.path.join(name);
+            if !Surface::has_comment(&file, self.format, comment)? {
+                bail!("{}: was not made by `{comment}`, expected so for --resume", file.display());
+            }
         }
         if args.overwrite {
             self.old = Mutex::new(old.iter().map(|name| self.path.join(name)).collect());

@@ -6,10 +6,12 @@
 //! | obj | `v`, `vn` and `f a//a`; the format has no place for velocities |
 //! | vtk | legacy version 3.0, binary, an unstructured grid of triangles; `normals` and `velocity` vectors float |
 //!
-//! A surface without triangles is a file too: a film has as many surfaces as frames.
+//! A surface without triangles is a file too: a film has as many surfaces as frames. Each has a line of comment, for how
+//! it was made: in ply the third line, in obj the first, in vtk the title.
 
 use std::fmt;
-use std::io::{self, Write};
+use std::fs::File;
+use std::io::{self, Read, Write};
 use std::path::Path;
 use std::str::FromStr;
 
@@ -71,29 +73,52 @@ impl FromStr for SurfaceFormat {
 }
 
 impl Surface {
-    /// Writes the surface, atomically.
+    /// Writes the surface, atomically, with a comment of one line. Of that readers get printable ASCII, and no more of it
+    /// than a title of vtk may have: 255 characters.
     ///
     /// # Errors
     /// `Io`.
     ///
     /// # Panics
     /// If there is not one normal, and with velocities one velocity, a vertex.
-    pub fn write(&self, path: &Path, format: SurfaceFormat) -> Result<()> {
+    pub fn write(&self, path: &Path, format: SurfaceFormat, comment: &str) -> Result<()> {
         let vertices = self.mesh.positions.len();
         assert_eq!(self.normal.len(), vertices, "a normal a vertex");
         assert!(self.velocity.as_ref().is_none_or(|v| v.len() == vertices), "a velocity a vertex");
+        let comment = &printable(comment);
         write_atomically(path, |out| match format {
-            SurfaceFormat::Ply => self.ply(out),
-            SurfaceFormat::Obj => self.obj(out),
-            SurfaceFormat::Vtk => self.vtk(out),
+            SurfaceFormat::Ply => self.ply(comment, out),
+            SurfaceFormat::Obj => self.obj(comment, out),
+            SurfaceFormat::Vtk => self.vtk(comment, out),
         })
     }
 
-    fn ply(&self, out: &mut dyn Write) -> io::Result<()> {
+    /// Whether a file has the comment that [`write`](Surface::write) gives it.
+    ///
+    /// # Errors
+    /// `Io`.
+    pub fn has_comment(path: &Path, format: SurfaceFormat, comment: &str) -> Result<bool> {
+        let mut head = Vec::new();
+        let read = File::open(path).and_then(|file| file.take(HEAD).read_to_end(&mut head));
+        read.map_err(Error::io(path))?;
+        let (line, before) = match format {
+            SurfaceFormat::Ply => (2, PLY_COMMENT),
+            SurfaceFormat::Obj => (0, OBJ_COMMENT),
+            SurfaceFormat::Vtk => (1, ""),
+        };
+        let head = String::from_utf8_lossy(&head);
+        let found = head.lines().nth(line).and_then(|line| line.strip_prefix(before));
+        Ok(found == Some(printable(comment).as_str()))
+    }
+
+    fn ply(&self, comment: &str, out: &mut dyn Write) -> io::Result<()> {
         let (vertices, faces) = (self.mesh.positions.len(), self.mesh.triangles.len());
         let columns =
             [("", Some(&self.mesh.positions)), ("n", Some(&self.normal)), ("v", self.velocity.as_ref())];
-        writeln!(out, "ply\nformat binary_little_endian 1.0\nelement vertex {vertices}")?;
+        writeln!(
+            out,
+            "ply\nformat binary_little_endian 1.0\n{PLY_COMMENT}{comment}\nelement vertex {vertices}"
+        )?;
         for (prefix, _) in columns.iter().filter(|(_, values)| values.is_some()) {
             for axis in ["x", "y", "z"] {
                 writeln!(out, "property float {prefix}{axis}")?;
@@ -114,7 +139,8 @@ impl Surface {
         Ok(())
     }
 
-    fn obj(&self, out: &mut dyn Write) -> io::Result<()> {
+    fn obj(&self, comment: &str, out: &mut dyn Write) -> io::Result<()> {
+        writeln!(out, "{OBJ_COMMENT}{comment}")?;
         for [x, y, z] in &self.mesh.positions {
             writeln!(out, "v {x} {y} {z}")?;
         }
@@ -128,14 +154,14 @@ impl Surface {
         Ok(())
     }
 
-    fn vtk(&self, out: &mut dyn Write) -> io::Result<()> {
+    fn vtk(&self, comment: &str, out: &mut dyn Write) -> io::Result<()> {
         let (vertices, cells) = (self.mesh.positions.len(), self.mesh.triangles.len());
         // In this version a list of cells is 32-bit integers, and its length one too.
         if i32::try_from(4 * cells).is_err() {
             let most = i32::MAX / 4;
             return Err(io::Error::other(format!("legacy vtk holds {most} triangles, found {cells}")));
         }
-        out.write_all(b"# vtk DataFile Version 3.0\nsurface\nBINARY\nDATASET UNSTRUCTURED_GRID\n")?;
+        writeln!(out, "# vtk DataFile Version 3.0\n{comment}\nBINARY\nDATASET UNSTRUCTURED_GRID")?;
         writeln!(out, "POINTS {vertices} float")?;
         vectors(&self.mesh.positions, out)?;
         writeln!(out, "\nCELLS {cells} {}", 4 * cells)?;
@@ -164,6 +190,20 @@ impl Surface {
 /// The number of VTK_TRIANGLE.
 const TRIANGLE_CELL: u32 = 5;
 
+/// What stands before a comment.
+const PLY_COMMENT: &str = "comment ";
+const OBJ_COMMENT: &str = "# ";
+
+/// Bytes of a file that its comment is in.
+const HEAD: u64 = 512;
+
+/// The part of a comment that every reader takes; a backslash at the end of a line would join it with the next.
+fn printable(comment: &str) -> String {
+    let readable = |c: char| if matches!(c, ' '..='~') && c != '\\' { c } else { '?' };
+    let comment: String = comment.chars().take(255).map(readable).collect();
+    comment.trim_end().to_owned()
+}
+
 fn vectors(values: &[[f32; 3]], out: &mut dyn Write) -> io::Result<()> {
     values.iter().flatten().try_for_each(|value| out.write_all(&value.to_be_bytes()))
 }
@@ -188,7 +228,7 @@ mod tests {
         let surface = ball();
         for format in [SurfaceFormat::Ply, SurfaceFormat::Obj] {
             let path = folder.path().join(format!("ball.{format}"));
-            surface.write(&path, format).unwrap();
+            surface.write(&path, format, "a ball").unwrap();
             assert_eq!(TriangleMesh::load(&path).unwrap(), surface.mesh, "{format}");
         }
     }
@@ -199,7 +239,7 @@ mod tests {
         let surface = ball();
         for format in [SurfaceFormat::Ply, SurfaceFormat::Vtk] {
             let path = folder.path().join(format!("ball.{format}"));
-            surface.write(&path, format).unwrap();
+            surface.write(&path, format, "a ball").unwrap();
             let points = frames::read(&path).unwrap();
             assert_eq!(points.position, surface.mesh.positions, "{format}");
             assert_eq!(points.normal.as_ref(), Some(&surface.normal), "{format}");
@@ -207,7 +247,7 @@ mod tests {
         }
         let bare = Surface { velocity: None, ..surface };
         let path = folder.path().join("bare.vtk");
-        bare.write(&path, SurfaceFormat::Vtk).unwrap();
+        bare.write(&path, SurfaceFormat::Vtk, "").unwrap();
         assert_eq!(frames::read(&path).unwrap().velocity, None);
     }
 
@@ -216,10 +256,31 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         for format in SurfaceFormat::ALL {
             let path = folder.path().join(format!("nothing.{format}"));
-            Surface::default().write(&path, format).unwrap();
+            Surface::default().write(&path, format, "nothing").unwrap();
             assert!(path.exists());
         }
         assert!(frames::read(&folder.path().join("nothing.ply")).unwrap().position.is_empty());
+    }
+
+    #[test]
+    fn comments_are_known_again_whatever_is_in_them() {
+        let folder = tempfile::tempdir().unwrap();
+        let surface = ball();
+        for format in SurfaceFormat::ALL {
+            let path = folder.path().join(format!("ball.{format}"));
+            let long = "x".repeat(400);
+            for comment in ["a ball", "C:\\balls\\", "zwei\nBälle", &long, ""] {
+                surface.write(&path, format, comment).unwrap();
+                assert!(Surface::has_comment(&path, format, comment).unwrap(), "{format}: {comment}");
+                assert!(!Surface::has_comment(&path, format, "another").unwrap());
+                match format {
+                    SurfaceFormat::Vtk => assert!(frames::read(&path).is_ok()),
+                    _ => assert_eq!(TriangleMesh::load(&path).unwrap(), surface.mesh),
+                }
+            }
+            std::fs::write(&path, [0xff; 3]).unwrap();
+            assert!(!Surface::has_comment(&path, format, "a ball").unwrap());
+        }
     }
 
     #[test]

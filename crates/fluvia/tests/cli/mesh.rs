@@ -24,7 +24,8 @@ fn every_frame_has_a_closed_surface_in_each_format() {
     let folder = with_run();
     folder.succeed("mesh run -o ply");
     folder.succeed("mesh run -o obj --format obj --frames 0..6 --every 3");
-    folder.succeed("mesh run -o vtk --format vtk --frames 1,3..4");
+    let run = folder.succeed("mesh run -o vtk --format vtk --frames 4,1,3..4 --verbose");
+    assert!(run.stderr.contains("3 surfaces"), "a frame twice is made once: {}", run.stderr);
     assert_eq!(names(&folder, "ply"), (0..7).map(|k| format!("surface_000{k}.ply")).collect::<Vec<_>>());
     assert_eq!(names(&folder, "obj"), ["surface_0000.obj", "surface_0003.obj", "surface_0006.obj"]);
     assert_eq!(names(&folder, "vtk"), ["surface_0001.vtk", "surface_0003.vtk", "surface_0004.vtk"]);
@@ -127,18 +128,33 @@ fn what_was_stopped_goes_on() {
     let folder = with_clouds();
     folder.succeed("mesh run -o whole");
     folder.succeed("mesh run -o part --frames 1,3");
-    // What is there stays as it is, were it another's.
-    folder.write("part/surface_0003.ply", "mine");
+    let modified = |name: &str| std::fs::metadata(folder.path(name)).unwrap().modified().unwrap();
+    let before = modified("part/surface_0003.ply");
     folder.succeed("mesh run -o part --resume");
-    let (whole, mut part) = (folder.files("whole"), folder.files("part"));
-    assert_eq!(
-        part.insert("surface_0003.ply".into(), whole["surface_0003.ply"].clone()),
-        Some(b"mine".to_vec())
-    );
-    assert!(part == whole);
+    assert_eq!(modified("part/surface_0003.ply"), before);
+    let whole = folder.files("whole");
+    assert!(folder.files("part") == whole);
     // Nothing is left to do.
     folder.succeed("mesh run -o whole --resume");
     assert!(folder.files("whole") == whole);
+    // Surfaces that other options made, or that are of other frames or another's, are not mixed with these.
+    std::fs::create_dir(folder.path("twin")).unwrap();
+    for (name, bytes) in folder.files("run") {
+        folder.write(&format!("twin/{name}"), bytes);
+    }
+    for (format, last) in [("ply", 4), ("obj", 2), ("vtk", 2)] {
+        folder.succeed(&format!("mesh run -o {format} --format {format} --frames 1..2"));
+        for other in ["run --smoothing 50", "run --particle-radius 0.02", "twin"] {
+            let run = folder.run(&format!("mesh {other} -o {format} --format {format} --resume"));
+            assert_eq!((run.code, run.stderr.lines().count()), (Some(1), 1), "{}", run.stderr);
+            assert!(run.stderr.contains(&format!("{format}/surface_0001.{format}: ")), "{}", run.stderr);
+            assert_eq!(folder.files(format).len(), 2);
+        }
+        folder.succeed(&format!("mesh run -o {format} --format {format} --frames 1..{last} --resume"));
+    }
+    folder.write("whole/surface_0003.ply", "mine");
+    assert_eq!(folder.run("mesh run -o whole --resume").code, Some(1));
+    assert_eq!(folder.files("whole")["surface_0003.ply"], b"mine");
     assert_eq!(folder.run("mesh run -o whole --resume --overwrite").code, Some(2));
 }
 
