@@ -30,7 +30,9 @@ mod vtk;
 mod vtu;
 mod vtu_data;
 
-pub use atomic::{Replacement, read_json, remove_temporaries, write_atomically, write_json, write_text};
+pub use atomic::{
+    Replacement, prepare, read_json, remove_temporaries, write_atomically, write_json, write_text,
+};
 pub use run::{FrameFile, Mode, RunDirectory};
 pub use sequence::Sequence;
 pub use state::State;

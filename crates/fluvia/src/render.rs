@@ -186,6 +186,8 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
     if kind == Kind::Mp4 {
         mp4::check(&args.output)?;
     }
+    // What cannot be written in the end is not drawn.
+    frames::prepare(&args.output)?;
     let interrupted = interrupt::watch()?;
     thread_pool(args.threads)?.install(|| {
         let open = |text: &String| Run::open(text, args.dt, args.particle_radius);

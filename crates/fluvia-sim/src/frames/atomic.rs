@@ -57,11 +57,6 @@ impl Replacement {
         self.temporary.as_deref().unwrap_or(&self.target)
     }
 
-    /// The name that it will have.
-    pub fn target(&self) -> &Path {
-        &self.target
-    }
-
     /// Gives the file its name; without that it is removed.
     ///
     /// # Errors
@@ -82,6 +77,23 @@ impl Drop for Replacement {
             let _ = fs::remove_file(temporary);
         }
     }
+}
+
+/// Makes sure that a file can be written, before the work for it is done, and removes the temporary files that killed
+/// processes have left of it.
+///
+/// # Errors
+/// `Io`, as [`Replacement::begin`]; but something that is no regular file may be written to.
+pub fn prepare(path: &Path) -> Result<()> {
+    if fs::metadata(path).is_ok_and(|data| !data.is_file() && !data.is_dir()) {
+        return Ok(());
+    }
+    let replacement = Replacement::begin(path)?;
+    let target = replacement.target.clone();
+    drop(replacement);
+    let folder = target.parent().filter(|folder| !folder.as_os_str().is_empty());
+    let is_it = |name: &str| target.file_name().is_some_and(|file| file == name);
+    remove_temporaries(folder.unwrap_or(Path::new(".")), is_it)
 }
 
 /// Writes a text, atomically.
@@ -228,6 +240,27 @@ mod tests {
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
         assert!(Replacement::begin(folder.path()).is_err());
         assert!(Replacement::begin(&folder.path().join("none/film.mp4")).is_err());
+    }
+
+    #[test]
+    fn what_cannot_be_written_is_known_before() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("film.mp4");
+        fs::write(&path, "old").unwrap();
+        for name in [".film.mp4.12.tmp", ".other.mp4.12.tmp"] {
+            fs::write(folder.path().join(name), "half").unwrap();
+        }
+        prepare(&path).unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"old");
+        let mut names: Vec<_> =
+            fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+        names.sort();
+        assert_eq!(names, [".other.mp4.12.tmp", "film.mp4"]);
+        assert!(prepare(folder.path()).is_err());
+        assert!(prepare(&folder.path().join("none/film.mp4")).is_err());
+        assert!(prepare(&path.join("film.mp4")).is_err());
+        #[cfg(unix)]
+        prepare(Path::new("/dev/null")).unwrap();
     }
 
     #[test]

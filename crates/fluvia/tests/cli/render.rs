@@ -59,12 +59,18 @@ fn delays(folder: &Folder, name: &str) -> Vec<u16> {
 #[test]
 fn what_cannot_be_drawn() {
     let folder = with_run();
+    std::fs::create_dir(folder.path("folder.png")).unwrap();
+    std::fs::create_dir(folder.path("foreign")).unwrap();
+    folder.write("foreign/fluid_0000.ply", cloud(&["0 0 0", "0.1 0 0"]));
     for (arguments, words) in [
         ("render out -o a.jpg", ["a.jpg", ".png"]),
         ("render out -o a.png --frame 7", ["frame 7", "0 to 6"]),
         ("render nothing -o a.png", ["nothing", "No such file"]),
         ("render . -o a.png", [".", "no frames"]),
-        ("render out -o none/a.png", ["none", "No such file"]),
+        // Before anything is read.
+        ("render nothing -o none/a.png", ["none/a.png", "No such file"]),
+        ("render nothing -o none/a.gif", ["none/a.gif", "No such file"]),
+        ("render nothing -o folder.png", ["folder.png", "directory"]),
         ("render out -o a.gif --frame 3", ["a.gif", "--frame"]),
         ("render out -o a.mp4 --sheet 2x1", ["a.mp4", "--sheet"]),
         ("render out -o a", ["a: ", ".mp4"]),

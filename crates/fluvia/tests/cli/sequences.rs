@@ -48,7 +48,7 @@ fn a_data_set_is_summed_up() {
     let train = folder.succeed(&format!("inspect {} --json", sequence("set/train"))).last_json();
     assert_eq!(train["scenes"].as_array().map(Vec::len), Some(2), "{train}");
     // Several where one is asked for.
-    folder.fail(&format!("render {} -o out/a.png", sequence("set/train")), &["sim_0001", "sim_0002"]);
+    folder.fail(&format!("render {} -o a.png", sequence("set/train")), &["sim_0001", "sim_0002"]);
     folder.fail(&format!("compare {} {}", sequence("set/train"), sequence("plain")), &["sim_0001"]);
 }
 
