@@ -11,8 +11,8 @@ use std::f32::consts::TAU;
 use std::path::PathBuf;
 
 use fluvia_render::{
-    Camera, Frame, GifEncoder, Image, OutsideTest, Palette, Row, Scale, Sheet, Stage, Style, Subject, Tile,
-    Values, View, Walls, draw_frame, encode_png, sheet, speeds,
+    Camera, Frame, GifEncoder, Image, Legend, OutsideTest, Page, Palette, Scale, Stage, Style, Subject, Tile,
+    Values, View, Walls, draw_frame, encode_png, speeds,
 };
 
 /// Particle radius, metres; particles are two radii apart.
@@ -42,20 +42,22 @@ fn main() -> Result<(), Box<dyn Error>> {
         let note = format!("{:.2} s", index as f32 / FRAMES as f32);
         Tile { frame: moments[index].frame(), stage: Some(&stage), label: format!("frame {index}"), note }
     };
-    let row = |label: &str, frames: [usize; 3]| Row {
-        label: label.to_owned(),
-        tiles: frames.into_iter().map(tile).collect(),
-    };
-    let rows = vec![row("first half", [0, 4, 8]), row("second half", [12, 16, 20])];
-    let page = Sheet { title: "A wave in a tank".to_owned(), rows };
-    std::fs::write(directory.join("sheet.png"), encode_png(&sheet(&page, &camera, &style)?)?)?;
+    let rows = [("first half", 3), ("second half", 3)];
+    let mut page = Page::new("A wave in a tank", &rows, Legend::Scale, &camera, &style)?;
+    for (row, frames) in [[0, 4, 8], [12, 16, 20]].into_iter().enumerate() {
+        for (column, frame) in frames.into_iter().enumerate() {
+            page.draw([row, column], &tile(frame))?;
+        }
+    }
+    std::fs::write(directory.join("sheet.png"), encode_png(&page.finish())?)?;
 
     let film: Vec<Image> = (0..FRAMES)
         .map(|index| {
-            let row = Row { label: String::new(), tiles: vec![tile(index)] };
-            sheet(&Sheet { title: String::new(), rows: vec![row] }, &camera, &style)
+            let mut page = Page::new("", &[("", 1)], Legend::Scale, &camera, &style)?;
+            page.draw([0, 0], &tile(index))?;
+            Ok(page.finish())
         })
-        .collect::<Result<_, _>>()?;
+        .collect::<fluvia_render::Result<_>>()?;
     let palette = Palette::of(film.iter().step_by(FRAMES / 5));
     let mut encoder = GifEncoder::new(film[0].width, film[0].height, palette)?;
     for image in &film {

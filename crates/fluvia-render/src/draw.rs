@@ -19,7 +19,7 @@ use crate::light::{Lit, Scene, Shadow, Sky};
 use crate::paint::{Painter, surface_points, wall_points};
 use crate::shade::{Light, WATER};
 use crate::stage::Stage;
-use crate::vector::{Vec3, add, scaled};
+use crate::vector::{Vec3, add, finite, scaled};
 use crate::{Error, Result};
 
 /// The particles of one moment.
@@ -78,15 +78,13 @@ pub struct Style {
     pub radius: f32,
     /// How [`Values::Scalar`] become colours.
     pub scale: Scale,
-    /// What the legend calls the bodies of [`Values::Body`]; "body 0", ... for those beyond its end.
-    pub bodies: Vec<String>,
     /// Pixels a side that one pixel of the picture averages, 1 to 4.
     pub supersample: u32,
 }
 
 impl Default for Style {
     fn default() -> Style {
-        Style { radius: 0.025, scale: Scale::speed(4.0), bodies: Vec::new(), supersample: 3 }
+        Style { radius: 0.025, scale: Scale::speed(4.0), supersample: 3 }
     }
 }
 
@@ -230,10 +228,6 @@ pub fn draw_frame(frame: &Frame<'_>, stage: &Stage, camera: &Camera, style: &Sty
 fn mean(colors: &[Vec3]) -> Vec3 {
     let sum = colors.iter().fold([0.0; 3], |sum, &color| add(sum, color));
     if colors.is_empty() { [1.0; 3] } else { scaled(sum, 1.0 / colors.len() as f32) }
-}
-
-fn finite(point: &[f32; 3]) -> bool {
-    point.iter().all(|x| x.is_finite())
 }
 
 fn check_length(what: &'static str, found: usize, expected: usize) -> Result<()> {

@@ -5,7 +5,7 @@
 //! walls              ->  Stage                    their points as a surface, made once
 //! positions, values, ->  draw_frame -> Image      particles as spheres, or the liquid's surface as water, before the
 //! surface                                         walls, in the light of a lamp with soft shadows and of a sky
-//!                    ->  sheet, Page -> Image     labelled tiles, title, legend
+//!                    ->  Page -> Image            labelled tiles, title, legend
 //! Image              ->  encode_png, GifEncoder   bytes
 //! ```
 //!
@@ -61,7 +61,7 @@ pub use gif::GifEncoder;
 pub use image::{Image, encode_png};
 pub use outside::OutsideTest;
 pub use palette::{Palette, PaletteBuilder};
-pub use sheet::{Legend, Page, Row, Sheet, Tile, sheet};
+pub use sheet::{Legend, Page, Tile};
 pub use stage::Stage;
 pub use subject::Subject;
 pub use view::View;

@@ -7,6 +7,7 @@ use rayon::prelude::*;
 
 use crate::draw::Walls;
 use crate::tree::Tree;
+use crate::vector::finite;
 
 /// Tells which particles are outside walls that do not move; made once for all frames.
 #[derive(Clone, Debug)]
@@ -60,10 +61,6 @@ impl OutsideTest {
         });
         behind_all
     }
-}
-
-fn finite(point: &[f32; 3]) -> bool {
-    point.iter().all(|x| x.is_finite())
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 
 use crate::camera::Camera;
 use crate::color::{OUTSIDE, PAGE, QUIET, Ramp, Rgb, Scale, TEXT, TILE, body_color};
-use crate::draw::{Frame, Style, Values, draw_frame};
+use crate::draw::{Frame, Style, draw_frame};
 use crate::image::Image;
 use crate::stage::Stage;
 use crate::text::{Anchor, Pen};
@@ -22,46 +22,11 @@ pub struct Tile<'a> {
     pub note: String,
 }
 
-/// Tiles side by side.
-#[derive(Clone, Debug, Default)]
-pub struct Row<'a> {
-    /// Above the tiles; empty: no line is kept for it.
-    pub label: String,
-    /// From left to right.
-    pub tiles: Vec<Tile<'a>>,
-}
-
-/// A page of tiles.
-#[derive(Clone, Debug, Default)]
-pub struct Sheet<'a> {
-    /// At the top; empty: no line is kept for it.
-    pub title: String,
-    /// From top to bottom.
-    pub rows: Vec<Row<'a>>,
-}
-
 /// The largest side of a sheet, pixels.
 const MAX_SIDE: u32 = 32_768;
 
-/// Draws a sheet; all tiles share the camera and the style. Its legend is that of the first tile that has
-/// values: the colour scale, or the bodies' names (for films give them in [`Style::bodies`], so that all frames
-/// have the same legend).
-///
-/// # Errors
-/// Those of [`draw_frame`], and `Parameter` if the sheet is too large.
-pub fn sheet(sheet: &Sheet<'_>, camera: &Camera, style: &Style) -> Result<Image> {
-    let rows: Vec<(&str, usize)> =
-        sheet.rows.iter().map(|row| (row.label.as_str(), row.tiles.len())).collect();
-    let mut page = Page::new(&sheet.title, &rows, legend(sheet, style), camera, style)?;
-    for (row, tiles) in sheet.rows.iter().enumerate() {
-        for (column, tile) in tiles.tiles.iter().enumerate() {
-            page.draw([row, column], tile)?;
-        }
-    }
-    Ok(page.finish())
-}
-
-/// A sheet that is drawn tile by tile, for those whose frames are too many to be in memory together.
+/// A sheet that is drawn tile by tile: its frames may be too many to be in memory together. All tiles share the camera and
+/// the style. Films are pages of one legend, so that all their pictures have one size.
 pub struct Page<'a> {
     image: Image,
     layout: Layout,
@@ -79,8 +44,13 @@ pub enum Legend {
     None,
     /// The scale of [`Style::scale`].
     Scale,
-    /// The names of bodies, in their order: the first eight.
+    /// The names of bodies, in their order: the first [`MOST_BODIES`](Legend::MOST_BODIES).
     Bodies(Vec<String>),
+}
+
+impl Legend {
+    /// Bodies that a legend names.
+    pub const MOST_BODIES: usize = 8;
 }
 
 impl<'a> Page<'a> {
@@ -171,8 +141,8 @@ const ZOOM_WIDTH: f32 = 900.0;
 const ZOOM_LIMIT: f32 = 3.0;
 /// Length of the colour bar.
 const BAR: u32 = 280;
-/// Bodies that the legend names.
-const LEGEND_BODIES: usize = 8;
+/// A page without room for a bar of this length has no scale: its numbers would lie over each other.
+const LEAST_BAR: u32 = 60;
 
 impl Layout {
     fn new(
@@ -194,7 +164,7 @@ impl Layout {
             u64::from(label + strip + camera.height() + pad)
         };
         if let Legend::Bodies(names) = &mut legend {
-            names.truncate(LEGEND_BODIES);
+            names.truncate(Legend::MOST_BODIES);
         }
         let mut layout = Layout {
             width: 0,
@@ -208,6 +178,9 @@ impl Layout {
             zoom,
             legend,
         };
+        if layout.legend == Legend::Scale && layout.bar(width) < px(LEAST_BAR as f32) {
+            layout.legend = Legend::None;
+        }
         let foot = match &layout.legend {
             Legend::None => 0,
             Legend::Scale if layout.caption_fits(pen, &style.scale, width) => px(42.0),
@@ -238,31 +211,6 @@ impl Layout {
     fn caption_fits(&self, pen: &Pen, scale: &Scale, width: u64) -> bool {
         let needed = pen.width(&scale.label, self.small) + (self.bar(width) + self.px(50)) as f32;
         needed <= width as f32
-    }
-}
-
-fn legend(sheet: &Sheet<'_>, style: &Style) -> Legend {
-    let mut values = sheet
-        .rows
-        .iter()
-        .flat_map(|row| &row.tiles)
-        .map(|tile| tile.frame.surface.map_or(tile.frame.values, |surface| surface.values));
-    let first = values.clone().find(|values| !matches!(values, Values::None));
-    match first {
-        Some(Values::Scalar(_)) => Legend::Scale,
-        // The colours of a surface may be those of bodies that run into each other.
-        Some(Values::Body(_) | Values::Color(_)) if !style.bodies.is_empty() => {
-            Legend::Bodies(style.bodies.clone())
-        }
-        None | Some(Values::None | Values::Color(_)) => Legend::None,
-        Some(Values::Body(_)) => {
-            let largest = |values| match values {
-                Values::Body(bodies) => bodies.iter().max().map_or(0, |&body| body as usize + 1),
-                _ => 0,
-            };
-            let count = values.by_ref().map(largest).max().unwrap_or(0).min(LEGEND_BODIES);
-            Legend::Bodies((0..count).map(|body| format!("body {body}")).collect())
-        }
     }
 }
 
@@ -382,37 +330,45 @@ mod tests {
         }
     }
 
-    #[test]
-    fn tiles_are_drawn_in_any_order_at_the_places_that_there_are() {
+    fn camera(width: u32) -> Camera {
         let mut subject = Subject::new(Walls::default(), 0.025);
         subject.add(&[[0.0; 3], [0.4, 0.2, 0.0]]);
-        let camera = Camera::fit(&subject, &View { width: 60, ..View::default() }).unwrap();
-        let style = Style::default();
+        Camera::fit(&subject, &View { width, ..View::default() }).unwrap()
+    }
+
+    #[test]
+    fn tiles_are_drawn_in_any_order_at_the_places_that_there_are() {
+        let (camera, style) = (camera(60), Style::default());
         let position = [[[0.0; 3]], [[0.2, 0.1, 0.0]], [[0.4, 0.2, 0.0]]];
         let tile = |k: usize| {
             let frame = Frame { position: &position[k], ..Frame::default() };
             Tile { frame, label: format!("frame {k}"), ..Tile::default() }
         };
-        let row = |label: &str, tiles| Row { label: label.to_owned(), tiles };
-        let rows = vec![row("", vec![tile(0), tile(1)]), row("other", vec![tile(2)])];
-        let whole = sheet(&Sheet { title: "Title".to_owned(), rows }, &camera, &style).unwrap();
-        let mut page = Page::new("Title", &[("", 2), ("other", 1)], Legend::None, &camera, &style).unwrap();
-        for (place, k) in [([1, 0], 2), ([0, 1], 1), ([0, 0], 0)] {
-            page.draw(place, &tile(k)).unwrap();
-        }
-        for place in [[0, 2], [1, 1], [2, 0]] {
-            assert!(matches!(page.draw(place, &tile(0)), Err(Error::Parameter { .. })), "{place:?}");
-        }
-        assert!(page.finish() == whole);
+        let draw = |order: [usize; 3]| {
+            let rows = [("", 2), ("other", 1)];
+            let mut page = Page::new("Title", &rows, Legend::None, &camera, &style).unwrap();
+            for k in order {
+                page.draw([[0, 0], [0, 1], [1, 0]][k], &tile(k)).unwrap();
+            }
+            for place in [[0, 2], [1, 1], [2, 0]] {
+                assert!(matches!(page.draw(place, &tile(0)), Err(Error::Parameter { .. })), "{place:?}");
+            }
+            page.finish()
+        };
+        assert!(draw([2, 1, 0]) == draw([0, 1, 2]));
     }
 
     #[test]
-    fn the_legend_names_the_bodies_that_are_there() {
-        let position = [[0.0; 3]; 3];
-        let frame = Frame { position: &position, values: Values::Body(&[0, 2, 1]), ..Frame::default() };
-        let tiles = vec![Tile { frame, ..Tile::default() }];
-        let page = Sheet { title: String::new(), rows: vec![Row { tiles, ..Row::default() }] };
-        let Legend::Bodies(names) = legend(&page, &Style::default()) else { panic!("expected bodies") };
-        assert_eq!(names, ["body 0", "body 1", "body 2"]);
+    fn legends_are_there_where_they_have_room() {
+        let style = Style::default();
+        let bodies = |count: usize| Legend::Bodies((0..count).map(|body| format!("body {body}")).collect());
+        for width in [1, 2, 10, 40, 100, 300] {
+            let camera = camera(width);
+            let page = |legend| Page::new("", &[("", 1)], legend, &camera, &style).unwrap().finish();
+            let [none, scale, names] = [Legend::None, Legend::Scale, bodies(3)].map(page);
+            assert_eq!(scale.height > none.height, width >= 100, "{width}");
+            assert!(names.height > none.height);
+            assert!(page(bodies(9)) == page(bodies(8)));
+        }
     }
 }

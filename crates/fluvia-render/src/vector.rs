@@ -34,6 +34,12 @@ pub(crate) fn unit(a: Vec3) -> Vec3 {
     if length > 0.0 && length.is_finite() { scaled(a, 1.0 / length) } else { [0.0; 3] }
 }
 
+/// Whether a point has a place.
+#[inline]
+pub(crate) fn finite(point: &Vec3) -> bool {
+    point.iter().all(|x| x.is_finite())
+}
+
 /// The way from `a` (at 0) to `b` (at 1).
 #[inline]
 pub(crate) fn mix(a: Vec3, b: Vec3, t: f32) -> Vec3 {
@@ -50,8 +56,8 @@ pub(crate) fn smoothstep(low: f32, high: f32, x: f32) -> f32 {
 /// Two unit vectors across `direction`, a unit vector, and each other.
 pub(crate) fn across(direction: Vec3) -> [Vec3; 2] {
     // Any vector that is not along the direction gives the first.
-    let helper = if direction[1].abs() < 0.9 { [0.0, 1.0, 0.0] } else { [1.0, 0.0, 0.0] };
-    let first = unit(cross(helper, direction));
+    let other = if direction[1].abs() < 0.9 { [0.0, 1.0, 0.0] } else { [1.0, 0.0, 0.0] };
+    let first = unit(cross(other, direction));
     [first, cross(direction, first)]
 }
 

@@ -1,8 +1,8 @@
 //! Tiny scenes whose pictures are known, the same bits at any thread count, and input that is not as it should be.
 
 use fluvia_render::{
-    BODY_COLORS, Camera, Error, Frame, Image, OutsideTest, Row, Scale, Sheet, Stage, Style, Subject, Surface,
-    Tile, Values, View, Walls, draw_frame, sheet, speeds,
+    BODY_COLORS, Camera, Error, Frame, Image, Legend, OutsideTest, Page, Scale, Stage, Style, Subject,
+    Surface, Tile, Values, View, Walls, draw_frame, speeds,
 };
 use proptest::prelude::*;
 
@@ -124,8 +124,9 @@ fn a_particle_outside_is_orange_and_counted_in_the_label() {
         let frame =
             Frame { outside, position: &position[..2], values: Values::Scalar(&[0.0; 2]), surface: None };
         let tile = Tile { frame, label: "frame 3".to_owned(), note: "0.06 s".to_owned(), ..Tile::default() };
-        let row = Row { tiles: vec![tile], ..Row::default() };
-        sheet(&Sheet { title: String::new(), rows: vec![row] }, &camera, &style).unwrap()
+        let mut page = Page::new("", &[("", 1)], Legend::Scale, &camera, &style).unwrap();
+        page.draw([0, 0], &tile).unwrap();
+        page.finish()
     };
     // The label's line is the first 30 rows.
     let label_ink = |image: &Image| {
@@ -181,10 +182,11 @@ fn the_same_bits_at_any_number_of_threads() {
             };
             let stage = Stage::new(walls);
             let tile = Tile { frame, stage: Some(&stage), label: "frame 0".to_owned(), note: String::new() };
-            let rows = vec![Row { label: "row".to_owned(), tiles: vec![tile.clone(), tile] }];
             let camera = camera(&position, walls, &View { width: 200, ..View::default() });
-            let page = Sheet { title: "title".to_owned(), rows };
-            sheet(&page, &camera, &Style::default()).unwrap()
+            let style = Style::default();
+            let mut page = Page::new("title", &[("row", 2)], Legend::Scale, &camera, &style).unwrap();
+            [0, 1].into_iter().for_each(|column| page.draw([0, column], &tile).unwrap());
+            page.finish()
         })
     };
     let one = draw(1);
@@ -246,7 +248,7 @@ fn nothing_and_one_particle_give_pictures() {
     let empty = camera(&[], Walls::default(), &small());
     let image = draw_frame(&Frame::default(), &Stage::default(), &empty, &style).unwrap();
     assert_eq!(image, Image::filled(120, 90, TILE));
-    let page = sheet(&Sheet::default(), &empty, &style).unwrap();
+    let page = Page::new("", &[], Legend::None, &empty, &style).unwrap().finish();
     assert!(page.width > 0 && page.height > 0);
 
     // Far from the origin float32 still has steps of 1/16 m, but the particle is in the middle.

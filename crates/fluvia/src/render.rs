@@ -38,8 +38,8 @@ Examples:
   fluvia render truth=data/valid/sim_0206 network=out/net -o compare.png --frames 0,10,20,50
   fluvia render out/dam -o close.png --eye 2,1,2 --look-at 0,0.3,0 --field-of-view 30
 
-All pictures of a sheet or film share one camera and one colour scale. Walls are drawn where they face the camera and hide
-what is behind them, but not particles in orange: those are more than a radius behind a wall, and with --surface they are
+All pictures of a sheet or film share one camera and one colour scale. Walls are drawn where they face the camera and hide \
+what is behind them, but not particles in orange: those are more than a radius behind a wall, and with --surface they are \
 the ones that are still drawn as spheres. Films play at the speed of the simulation; mp4 needs ffmpeg.")]
 pub struct Args {
     /// Directories of frames, as `fluvia simulate` writes them, or sequences of a data set: the folder of one, a part
@@ -81,7 +81,7 @@ pub struct Args {
     #[arg(long, value_name = "SPEED", value_parser = positive)]
     max_speed: Option<f32>,
     /// What the legend calls the bodies, in their order; body 0 and so on if not given.
-    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    #[arg(long, value_name = "NAMES", value_delimiter = ',', conflicts_with = "plain")]
     body_names: Vec<String>,
     /// The width of a picture, pixels, or its width and height; 640, in a sheet 240.
     #[arg(long, value_name = "WIDTH[xHEIGHT]")]
@@ -90,7 +90,7 @@ pub struct Args {
     /// side.
     #[arg(long, conflicts_with_all = ["sheet", "title"])]
     plain: bool,
-    /// A title above a sheet or film.
+    /// A title above the picture, sheet or film.
     #[arg(long, default_value = "")]
     title: String,
     /// Threads; all cores if not given. A film has as many frames in memory. Pictures do not depend on it.
@@ -135,9 +135,6 @@ impl Args {
                     bail!("{output}: {option} is for films (.mp4, .gif)");
                 }
             }
-        }
-        if self.plain && kind == Kind::Png && (self.runs.len() > 1 || self.frames.len() > 1) {
-            bail!("{output}: --plain is for one picture or a film");
         }
         Ok(kind)
     }
@@ -195,7 +192,7 @@ pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
         check_alike(&runs, kind)?;
         let output = args.output.display();
         let (what, is_done) = match kind {
-            Kind::Png => match picture(args, &runs, &interrupted)? {
+            Kind::Png => match picture(args, &runs, &interrupted, report)? {
                 Some(bytes) => {
                     frames::write_atomically(&args.output, |file| file.write_all(&bytes))?;
                     report.detail(format_args!("{output}: {} bytes", bytes.len()));
@@ -242,7 +239,8 @@ fn subject(runs: &[Run]) -> Subject<'_> {
 /// What the values of all pictures have in common.
 #[derive(Default)]
 struct Seen {
-    has_scalars: bool,
+    /// Whether a frame has what colours show.
+    has_values: bool,
     /// The lowest and the highest value; none that is finite at first.
     range: Option<[f32; 2]>,
     bodies: u32,
@@ -252,23 +250,54 @@ impl Seen {
     fn add(&mut self, colors: &Colors) {
         match colors {
             Colors::Scalar(values) => {
-                self.has_scalars = true;
+                self.has_values = true;
                 for &value in values.iter().filter(|value| value.is_finite()) {
                     let [low, high] = self.range.unwrap_or([value; 2]);
                     self.range = Some([low.min(value), high.max(value)]);
                 }
             }
             Colors::Body(bodies) => {
-                self.bodies = bodies.iter().fold(self.bodies, |most, &body| most.max(body + 1));
+                self.has_values = true;
+                self.bodies = bodies.iter().fold(self.bodies, |most, &body| most.max(body.saturating_add(1)));
             }
             Colors::None | Colors::Mixed(_) => {}
         }
     }
 
-    fn legend(&self, args: &Args, style: &Style) -> Legend {
+    /// Looks at whether the options about colours do something.
+    ///
+    /// # Errors
+    /// If no frame has what the colours are to show.
+    fn check(&self, args: &Args, runs: &[Run], report: &Report) -> Result<()> {
+        let (option, what) = match args.color {
+            Some(Color::Speed) => ("--color speed", "velocities"),
+            Some(Color::Body) => ("--color body", "bodies"),
+            _ if args.max_speed.is_some() => ("--max-speed", "velocities"),
+            _ => return Ok(()),
+        };
+        if !self.has_values {
+            bail!("{}: the frames have no {what}, expected some for {option}", runs[0].path.display());
+        }
+        let (names, bodies) = (args.body_names.len(), self.bodies as usize);
+        if names > bodies {
+            report.warning(format_args!(
+                "--body-names: {names} names, expected at most {bodies}: the frames have no more bodies"
+            ));
+        }
+        Ok(())
+    }
+
+    fn legend(&self, args: &Args) -> Legend {
         match args.color() {
-            Color::Speed | Color::Height if self.has_scalars => Legend::Scale,
-            Color::Body => Legend::Bodies(style.bodies.clone()),
+            Color::Speed | Color::Height if self.has_values => Legend::Scale,
+            Color::Body => {
+                let name = |body: usize| args.body_names.get(body).cloned();
+                // A number in a foreign file may be any.
+                let bodies = 0..Legend::MOST_BODIES.min(self.bodies as usize);
+                Legend::Bodies(
+                    bodies.map(|body| name(body).unwrap_or_else(|| format!("body {body}"))).collect(),
+                )
+            }
             _ => Legend::None,
         }
     }
@@ -280,7 +309,5 @@ fn style(args: &Args, runs: &[Run], seen: &Seen) -> Style {
         (Color::Height, _) => Scale::height(0.0, 1.0),
         _ => Scale::speed(args.max_speed.unwrap_or(MAX_SPEED)),
     };
-    let name = |body: u32| args.body_names.get(body as usize).cloned();
-    let bodies = (0..seen.bodies).map(|body| name(body).unwrap_or_else(|| format!("body {body}"))).collect();
-    Style { radius: runs[0].radius, scale, bodies, ..Style::default() }
+    Style { radius: runs[0].radius, scale, ..Style::default() }
 }

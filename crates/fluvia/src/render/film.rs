@@ -4,10 +4,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use anyhow::{Result, bail};
-use fluvia_render::{Camera, Image, Row, Sheet, Style, draw_frame, sheet};
+use fluvia_render::{Camera, Image, Legend, Page, Style, draw_frame};
 
 use super::moment::{Moment, Run};
-use super::writer::Writer;
+use super::writer::{Writer, palette_frames};
 use super::{Args, Kind, Seen, style, subject};
 use crate::in_order::in_order;
 use crate::options::chosen_frames;
@@ -45,17 +45,22 @@ pub fn film(
     // Of a list of frames the last need not be the farthest.
     let farthest = |far: f32, turn: f32| if turn.abs() > far.abs() { turn } else { far };
     let camera = args.camera(&subject, false, (0..numbers.len()).map(turn).fold(0.0, farthest))?;
-    let style = style(args, runs, &seen);
+    seen.check(args, runs, report)?;
+    // Of all frames one, so that all pictures have one size.
+    let (style, legend) = (style(args, runs, &seen), seen.legend(args));
     let surface = args.surface();
     let drawn = |k: usize| {
         let moment = |run: &Run| run.moment(numbers[k], args.color(), surface.as_ref());
         let moments = runs.iter().map(moment).collect::<Result<Vec<Moment>>>()?;
-        draw(args, runs, &moments, &camera.turned(turn(k)), &style)
+        draw(args, runs, &moments, &camera.turned(turn(k)), &style, &legend)
     };
 
     let mut writer = None;
     if kind == Kind::Gif {
-        writer = Writer::gif(&numbers, dt, interrupted, drawn)?;
+        let count = palette_frames(numbers.len()).len() as u64;
+        let bar = report.bar_like(count, "{bar:16} chooses colours, frame {pos}/{len}, {eta} left");
+        writer = Writer::gif(&numbers, dt, interrupted, |k| drawn(k).inspect(|_| bar.inc(1)))?;
+        bar.finish_and_clear();
         if writer.is_none() {
             return Ok(false);
         }
@@ -101,16 +106,25 @@ fn choose_frames(args: &Args, runs: &[Run]) -> Result<Vec<u64>> {
 }
 
 /// A picture of the film.
-fn draw(args: &Args, runs: &[Run], moments: &[Moment], camera: &Camera, style: &Style) -> Result<Image> {
+fn draw(
+    args: &Args,
+    runs: &[Run],
+    moments: &[Moment],
+    camera: &Camera,
+    style: &Style,
+    legend: &Legend,
+) -> Result<Image> {
     let all = runs.iter().zip(moments);
     if args.plain {
         let picture = |(run, moment): (&Run, &Moment)| draw_frame(&moment.frame(), &run.stage, camera, style);
         return Ok(beside(&all.map(picture).collect::<Result<Vec<_>, _>>()?));
     }
     let caption = |run: &Run| if runs.len() > 1 { run.label.clone() } else { String::new() };
-    let tiles = all.map(|(run, moment)| moment.tile(run, &caption(run))).collect();
-    let rows = vec![Row { label: String::new(), tiles }];
-    Ok(sheet(&Sheet { title: args.title.clone(), rows }, camera, style)?)
+    let mut page = Page::new(&args.title, &[("", runs.len())], legend.clone(), camera, style)?;
+    for (column, (run, moment)) in all.enumerate() {
+        page.draw([0, column], &moment.tile(run, &caption(run)))?;
+    }
+    Ok(page.finish())
 }
 
 /// Pictures of one size side by side.

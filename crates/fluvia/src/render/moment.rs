@@ -117,7 +117,7 @@ impl Run {
         match color {
             Color::Speed => velocity.map_or(Colors::None, |velocity| Colors::Scalar(speeds(velocity))),
             Color::Height => Colors::Scalar(heights(position, self.up)),
-            Color::Body => Colors::Body(body.unwrap_or_else(|| vec![0; position.len()])),
+            Color::Body => body.map_or(Colors::None, Colors::Body),
             Color::Water => Colors::Mixed(vec![WATER; position.len()]),
         }
     }
@@ -142,12 +142,11 @@ impl Run {
         }
         let colors = match color {
             Color::Water => Colors::None,
-            Color::Body => {
-                let bodies = data.body.as_deref().unwrap_or_default();
-                let bodies: Vec<u32> = kept.iter().map(|&i| bodies.get(i).copied().unwrap_or(0)).collect();
+            Color::Body => data.body.as_ref().map_or(Colors::None, |bodies| {
+                let bodies: Vec<u32> = kept.iter().map(|&i| bodies[i]).collect();
                 let shares = surface::shares(&surface.mesh.positions, &position, self.radius);
                 Colors::Mixed(shares.iter().map(|shares| mixed(shares, &bodies)).collect())
-            }
+            }),
             _ => self.colors(color, &surface.mesh.positions, surface.velocity.as_deref(), None),
         };
         Ok(Drawn { surface, colors })

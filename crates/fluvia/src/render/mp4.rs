@@ -28,6 +28,8 @@ pub struct Mp4 {
     /// Dropped after ffmpeg has ended.
     file: Option<Replacement>,
     name: String,
+    /// Of each picture, pixels.
+    size: [u32; 2],
 }
 
 /// Makes sure that ffmpeg is there.
@@ -77,11 +79,19 @@ impl Mp4 {
                 String::from_utf8_lossy(&bytes).into_owned()
             })
         });
-        Ok(Mp4 { child, pictures, complaints, file: Some(file), name })
+        Ok(Mp4 { child, pictures, complaints, file: Some(file), name, size: [width, height] })
     }
 
-    /// Adds a picture.
+    /// Adds a picture. In the pipe they have no borders: one of another size would shear all that follow.
     pub fn push(&mut self, image: &Image) -> Result<()> {
+        if [image.width, image.height] != self.size {
+            let ([width, height], name) = (self.size, &self.name);
+            bail!(
+                "{name}: a picture of {} x {} pixels in a film of {width} x {height}",
+                image.width,
+                image.height
+            );
+        }
         let written = self.pictures.as_mut().map(|pipe| pipe.write_all(&image.data));
         match written {
             Some(Ok(())) => Ok(()),

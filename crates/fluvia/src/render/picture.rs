@@ -9,11 +9,21 @@ use super::moment::{Moment, Run};
 use super::values::Shape;
 use super::{Args, Seen, style, subject};
 use crate::options::chosen_frames;
+use crate::report::Report;
 
 /// A picture or a sheet, as a file; `None` if it was interrupted. Frames are read twice, first for the camera and the
 /// colours of all, so that one is in memory.
-pub fn picture(args: &Args, runs: &[Run], interrupted: &AtomicBool) -> Result<Option<Vec<u8>>> {
+pub fn picture(
+    args: &Args,
+    runs: &[Run],
+    interrupted: &AtomicBool,
+    report: &Report,
+) -> Result<Option<Vec<u8>>> {
     let rows = choose_frames(args, runs)?;
+    let is_sheet = args.sheet.is_some() || rows.len() > 1 || rows[0].1.len() > 1;
+    if args.plain && is_sheet {
+        bail!("{}: --plain is for one picture or a film", args.output.display());
+    }
     let stopped = || interrupted.load(Ordering::Relaxed);
     let (mut seen, mut subject) = (Seen::default(), subject(runs));
     for (run, frames) in &rows {
@@ -26,7 +36,7 @@ pub fn picture(args: &Args, runs: &[Run], interrupted: &AtomicBool) -> Result<Op
             subject.add(&position);
         }
     }
-    let is_sheet = args.sheet.is_some() || rows.len() > 1 || rows[0].1.len() > 1;
+    seen.check(args, runs, report)?;
     let camera = args.camera(&subject, is_sheet, 0.0)?;
     let style = style(args, runs, &seen);
     let surface = args.surface();
@@ -44,7 +54,7 @@ pub fn picture(args: &Args, runs: &[Run], interrupted: &AtomicBool) -> Result<Op
         let label = |run: usize| if runs.len() == 1 { "" } else { runs[run].label.as_str() };
         let shape: Vec<(&str, usize)> =
             rows.iter().map(|(run, frames)| (label(*run), frames.len())).collect();
-        let mut page = Page::new(&args.title, &shape, seen.legend(args, &style), &camera, &style)?;
+        let mut page = Page::new(&args.title, &shape, seen.legend(args), &camera, &style)?;
         for (row, (run, frames)) in rows.iter().enumerate() {
             for (column, &frame) in frames.iter().enumerate() {
                 let Some(moment) = moment(&runs[*run], frame)? else { return Ok(None) };

@@ -12,6 +12,11 @@ use super::mp4::Mp4;
 /// Frames of a film that the colours of a GIF are chosen from.
 const PALETTE_FRAMES: usize = 8;
 
+/// Which of so many frames the colours of a GIF are chosen from.
+pub fn palette_frames(count: usize) -> impl ExactSizeIterator<Item = usize> {
+    (0..count).step_by(count.div_ceil(PALETTE_FRAMES).max(1))
+}
+
 /// How long each picture of a film is shown, seconds: until the next; the last as long as the one before.
 fn durations(numbers: &[u64], dt: f64) -> Vec<f64> {
     steps(numbers).into_iter().map(|step| step as f64 * dt).collect()
@@ -40,9 +45,8 @@ impl Writer {
         interrupted: &AtomicBool,
         mut draw: impl FnMut(usize) -> Result<Image>,
     ) -> Result<Option<Writer>> {
-        let step = numbers.len().div_ceil(PALETTE_FRAMES).max(1);
         let mut samples = Vec::new();
-        for k in (0..numbers.len()).step_by(step) {
+        for k in palette_frames(numbers.len()) {
             if interrupted.load(Ordering::Relaxed) {
                 return Ok(None);
             }

@@ -76,6 +76,8 @@ fn what_cannot_be_drawn() {
         ("render out -o a", ["a: ", ".mp4"]),
         ("render out -o a.png --orbit 20", ["--orbit", ".mp4"]),
         ("render out out -o a.png --plain", ["a.png", "--plain"]),
+        ("render out -o a.png --plain --frames 0..3", ["a.png", "--plain"]),
+        ("render out -o a.png --plain --frames 0,3", ["a.png", "--plain"]),
         ("render out -o a.png --frames 8..9", ["8 to 9", "0 to 6"]),
         ("render out -o a.png --eye 0,9,0 --look-at 0,0,0", ["place of the camera", "beside"]),
         ("render out -o a.png --field-of-view 170", ["angle of view", "170"]),
@@ -86,6 +88,11 @@ fn what_cannot_be_drawn() {
         ),
         ("render out -o a.png --look-at -40,0,-90", ["--look-at", "in view"]),
         ("render out -o a.png --size 9000x9000", ["9000 x 9000", "a smaller picture"]),
+        // What the colours are to show has to be there.
+        ("render foreign -o a.png --color speed", ["foreign: ", "no velocities"]),
+        ("render foreign -o a.gif --max-speed 3", ["foreign: ", "no velocities"]),
+        ("render foreign -o a.png --surface --color body", ["foreign: ", "no bodies"]),
+        ("render foreign -o a.png --surface --particle-radius 1e38", ["foreign: frame 0", "1e38"]),
         ("render out -o a.png --body-names a,b", ["--body-names", "--color body"]),
         ("render out -o a.png --size 20x99999", ["height", "16384"]),
         ("render out -o a.png --surface --max-speed 3", ["--max-speed", "--color speed"]),
@@ -111,6 +118,7 @@ fn what_cannot_be_drawn() {
         "render out -o a.gif --orbit inf",
         "render out -o a.gif --orbit nan",
         "render out -o a.png --particle-radius 0",
+        "render out -o a.png --plain --color body --body-names water",
     ] {
         assert_eq!(folder.run(arguments).code, Some(2), "{arguments}");
     }
@@ -228,6 +236,16 @@ fn bodies_have_the_names_that_are_given() {
         assert_eq!(size(&folder, "usual.png"), size(&folder, "other.png"));
         assert!(bytes(&folder, "usual.png") != bytes(&folder, "other.png"));
     }
+    let run = folder.succeed("render out -o other.png --size 200 --color body --body-names oil,water");
+    assert!(run.stderr.contains("2 names, expected at most 1"), "{}", run.stderr);
+    // Bodies of a foreign file may have any numbers.
+    std::fs::create_dir(folder.path("foreign")).unwrap();
+    for number in [u32::MAX - 1, u32::MAX] {
+        let head = "ply\nformat ascii 1.0\nelement vertex 1\n";
+        let columns = "property float x\nproperty float y\nproperty float z\nproperty uint body\n";
+        folder.write("foreign/fluid_0000.ply", format!("{head}{columns}end_header\n0 0 0 {number}\n"));
+        folder.succeed("render foreign -o many.png --size 200 --color body");
+    }
 }
 
 #[test]
@@ -237,7 +255,7 @@ fn nothing_one_particle_and_numbers_that_are_none() {
         std::fs::create_dir(folder.path(name)).unwrap();
         folder.write(&format!("{name}/fluid_0000.ply"), cloud(&points));
     }
-    for options in ["", "--surface", "--surface --color speed", "--surface --color body"] {
+    for options in ["", "--color height", "--surface", "--surface --color height"] {
         folder.succeed(&format!("render empty -o empty.png --size 80 {options}"));
         folder.succeed(&format!("render one -o one.png --size 80 {options}"));
         let run = folder.run(&format!("render bad -o bad.png --size 80 {options}"));
@@ -246,6 +264,38 @@ fn nothing_one_particle_and_numbers_that_are_none() {
     }
     folder.succeed("render one -o one.gif --size 80 --surface");
     assert_eq!(delays(&folder, "one.gif"), [2]);
+    // No picture is too small.
+    folder.succeed("render one -o one.png --size 10 --color height");
+}
+
+/// A folder with frames of another program in `mixed`, the first of which has no velocities.
+fn with_mixed_frames() -> Folder {
+    let folder = Folder::new();
+    std::fs::create_dir(folder.path("mixed")).expect("a folder");
+    folder.write("mixed/fluid_0000.ply", cloud(&["0 0 0", "0.4 0.1 0"]));
+    let columns: String =
+        ["x", "y", "z", "vx", "vy", "vz"].map(|name| format!("property float {name}\n")).concat();
+    for number in 1..3 {
+        let head = "ply\nformat ascii 1.0\nelement vertex 2\n";
+        let rows = "0 0 0 1 0 0\n0.4 0.1 0 0 2 0\n";
+        folder.write(&format!("mixed/fluid_000{number}.ply"), format!("{head}{columns}end_header\n{rows}"));
+    }
+    folder
+}
+
+#[test]
+fn all_pictures_of_a_film_have_one_size() {
+    let folder = with_mixed_frames();
+    folder.succeed("render mixed -o film.gif --size 100");
+    folder.succeed("render mixed -o last.gif --size 100 --frames 1..2");
+    assert_eq!(delays(&folder, "film.gif"), [2, 2, 2]);
+    assert_eq!(gif_size(&folder, "film.gif"), gif_size(&folder, "last.gif"));
+    if has_ffmpeg() {
+        folder.succeed("render mixed -o film.mp4 --size 100");
+        let (width, height) = gif_size(&folder, "film.gif");
+        let expected = format!("h264,{},{},yuv420p,50/1,3", width + width % 2, height + height % 2);
+        assert_eq!(probe(&folder, "film.mp4"), expected);
+    }
 }
 
 /// Whether ffmpeg and ffprobe are installed; says so where they are not. In continuous integration they must be.
@@ -259,41 +309,41 @@ fn has_ffmpeg() -> bool {
     found
 }
 
+/// What ffprobe says of a film: codec, width, height, format of pixels, frames a second, frames.
+fn probe(folder: &Folder, name: &str) -> String {
+    let mut command = std::process::Command::new("ffprobe");
+    command.args([
+        "-v",
+        "error",
+        "-count_frames",
+        "-select_streams",
+        "v:0",
+        "-of",
+        "csv=p=0",
+        "-show_entries",
+    ]);
+    command.arg("stream=codec_name,width,height,pix_fmt,r_frame_rate,nb_read_frames").arg(folder.path(name));
+    let output = command.output().expect("ffprobe");
+    assert!(output.status.success() && output.stderr.is_empty(), "{output:?}");
+    String::from_utf8(output.stdout).expect("UTF-8").trim().to_owned()
+}
+
 #[test]
 fn mp4_plays_at_the_speed_of_the_simulation() {
     if !has_ffmpeg() {
         return;
     }
     let folder = with_run();
-    let probe = |name: &str| {
-        let mut command = std::process::Command::new("ffprobe");
-        command.args([
-            "-v",
-            "error",
-            "-count_frames",
-            "-select_streams",
-            "v:0",
-            "-of",
-            "csv=p=0",
-            "-show_entries",
-        ]);
-        command
-            .arg("stream=codec_name,width,height,pix_fmt,r_frame_rate,nb_read_frames")
-            .arg(folder.path(name));
-        let output = command.output().expect("ffprobe");
-        assert!(output.status.success() && output.stderr.is_empty(), "{output:?}");
-        String::from_utf8(output.stdout).expect("UTF-8").trim().to_owned()
-    };
     folder.succeed("render out -o plain.mp4 --size 160x90 --plain");
-    assert_eq!(probe("plain.mp4"), "h264,160,90,yuv420p,50/1,7");
+    assert_eq!(probe(&folder, "plain.mp4"), "h264,160,90,yuv420p,50/1,7");
     // Odd sides become even.
     folder.succeed("render out -o odd.mp4 --size 161x91 --plain --surface --frames 0..3");
-    assert_eq!(probe("odd.mp4"), "h264,162,92,yuv420p,50/1,4");
+    assert_eq!(probe(&folder, "odd.mp4"), "h264,162,92,yuv420p,50/1,4");
     // Frames that are 2 and 4 apart are shown for 2 and 4.
     folder.succeed("render out -o gaps.mp4 --size 160x90 --plain --frames 0,2,6");
-    assert_eq!(probe("gaps.mp4"), "h264,160,90,yuv420p,25/1,5");
+    assert_eq!(probe(&folder, "gaps.mp4"), "h264,160,90,yuv420p,25/1,5");
     folder.succeed("render out B=out -o both.mp4 --size 160 --every 2 --title Twice");
-    assert!(probe("both.mp4").ends_with("25/1,4"));
+    assert!(probe(&folder, "both.mp4").ends_with("25/1,4"));
     // Nothing but the films is left.
     let names = std::fs::read_dir(folder.path("")).unwrap();
     let names: Vec<String> = names.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
