@@ -1,5 +1,6 @@
 #!/bin/sh
-# Makes the pictures of the README and docs/images anew: the runs, then what is drawn of them.
+# Makes the pictures of the README in docs/images anew: the runs, then what is drawn of them. Those of the page, view_*.png, are
+# made by a test (CONTRIBUTING.md).
 #
 # usage: docs/pictures.sh [OUT]     (from the root of the repository; a few minutes)
 # FLUVIA names the program to use in place of the one that cargo builds.

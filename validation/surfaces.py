@@ -5,7 +5,7 @@ usage: validation/surfaces.py FLUVIA FRAMES [OPTIONS OF fluvia mesh ...]
 
 FLUVIA is the program, FRAMES the directory of a run as npz. Writes the surfaces as ply, obj and vtk into a temporary folder
 and reads them with trimesh, meshio and PyVista (the VTK library), which have to agree with each other; then prints of
-each tenth frame, or those asked for with --frames, a row of a table: triangles, open edges, edges of other than two
+each tenth frame, or those asked for with --frames or --every, a row of a table: triangles, open edges, edges of other than two
 triangles, bodies, volume in parts of the particles' (8 r^3 each), the part of the normals that point outwards, and the largest difference
 of a vertex' velocity from the nearest particle's, in parts of the highest speed. Exits with 1 if a surface is open or turned
 inside out, or its volume out of VOLUMES.
@@ -30,6 +30,8 @@ VOLUMES = 0.77, 1.03
 
 
 def main():
+    if len(sys.argv) < 3:
+        sys.exit("usage: " + __doc__.split("usage: ")[1].splitlines()[0])
     fluvia, frames, options = sys.argv[1], sys.argv[2], sys.argv[3:]
     record = json.load(open(os.path.join(frames, "run.json")))
     radius = record["particle_radius"]

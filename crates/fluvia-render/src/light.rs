@@ -329,7 +329,8 @@ fn spiral<const N: usize>() -> [[f32; 2]; N] {
 }
 
 impl Map {
-    /// Draws triangles band by band; `draw` gets the values of a band, the place in it, the triangle and its height.
+    /// Draws triangles band by band; `draw` gets the value of a texel, whether the triangle there is seen from its front, and
+    /// its height.
     fn draw<V: Copy + Send>(
         &self,
         empty: V,
