@@ -59,10 +59,10 @@ const ON_EDGE: f32 = 0.1;
 const BEHIND: f32 = 0.3;
 /// How far beyond the line between two points a cell reaches, in parts of their distance: round walls have no cracks then.
 const OVERLAP: f32 = 0.02;
-/// The same on round walls, and how far cells reach over inner and outer edges there, in spacings: over an inner edge they
-/// are behind the other wall.
+/// The same on round walls, and how far cells reach over inner edges there, in spacings: they are behind the other wall.
+/// Over an outer edge they would stick out before it.
 const ROUND_OVERLAP: f32 = 0.06;
-const ROUND_EDGES: [f32; 2] = [0.3, 0.06];
+const ROUND_INNER: f32 = 0.3;
 /// Pieces of wall behind the cells of round walls: how much larger they are than those, and how far behind, in spacings.
 const BACK_SCALE: f32 = 1.35;
 const BACK_DEPTH: f32 = 0.25;
@@ -282,9 +282,11 @@ fn cell(stage: &Stage, tree: &Tree, [low, high]: [Vec3; 2], i: usize) -> Vec<Cor
         };
         if dot(foot, foot) < (BESIDE * spacing).powi(2) && inside(x) > -clear && !near.iter().any(goes_on) {
             // Of a round wall the plane through a point is not where the wall is beside it.
-            let [inner, outer] = ROUND_EDGES.map(|part| part * spacing);
-            let (beyond, over) = if side > 0.0 { (Beyond::Wall, inner) } else { (Beyond::Nothing, outer) };
-            let over = if stage.flat[i] && stage.flat[j] { 0.0 } else { over };
+            let is_flat = stage.flat[i] && stage.flat[j];
+            let (beyond, over) = match side > 0.0 {
+                true => (Beyond::Wall, if is_flat { 0.0 } else { ROUND_INNER * spacing }),
+                false => (Beyond::Nothing, 0.0),
+            };
             clip(&mut polygon, beyond, |p| inside(p) + over);
         }
     }
