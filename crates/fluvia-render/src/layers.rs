@@ -24,6 +24,8 @@ pub(crate) struct Shapes {
     dots: Binned<Dot>,
     /// Walls are cut away above this height.
     top: f32,
+    /// The first triangle of the stage that is a piece behind cells, and how much farther than it is it counts, metres.
+    back: (u32, f32),
     /// How far before the liquid a wall is at least that hides it, metres.
     pub before: f32,
 }
@@ -85,7 +87,11 @@ struct Dot {
 
 /// The least cosine between the normal of a round wall and the way to the eye from which on the pieces behind its cells
 /// are drawn: at the outline of the wall they would stick out.
-const BACK_TURN: f32 = 0.15;
+const BACK_TURN: f32 = 0.08;
+
+/// How much farther than they are the pieces behind cells count, in particle radii: at outer edges they stick out, which the
+/// wall on the other side hides.
+pub(crate) const BACK_FARTHER: f32 = 1.0;
 
 /// How far before the liquid a wall is at least that hides it, in particle radii: liquid may be drawn out to the walls that it
 /// rests at, and rounding would decide which of the two is nearer.
@@ -127,12 +133,35 @@ impl Shapes {
         let dots = dots(stage, camera, radius, samples as f32);
         let dots = Binned::new(dots, size, |dot| [dot.top, dot.top + dot.side - 1]);
         let (band, before) = (size.band, BEFORE * radius);
-        Shapes { samples, width, height, band, radius, discs, surface: liquid, walls, dots, top, before }
+        let back = (stage.first_back as u32, BACK_FARTHER * radius);
+        Shapes {
+            samples,
+            width,
+            height,
+            band,
+            radius,
+            discs,
+            surface: liquid,
+            walls,
+            dots,
+            top,
+            back,
+            before,
+        }
     }
 
     /// The rows of a band: fewer at the end of the image.
     fn rows(&self, band: usize) -> usize {
         self.band.min(self.height - band * self.band)
+    }
+
+    /// Calls `draw` with each sample of a band that a wall covers, the depth there and the triangle of the stage.
+    fn fill_walls(&self, band: usize, mut draw: impl FnMut(usize, f32, u32)) {
+        let (first_back, farther) = self.back;
+        self.walls.fill(self, band, self.rows(band), |at, face, depth| {
+            let depth = if face.index < first_back { depth } else { depth + farther };
+            draw(at, depth, face.index);
+        });
     }
 }
 
@@ -203,9 +232,7 @@ impl Layers {
         let rows = shapes.rows(band);
         let (liquid, thickness) = draw_liquid(shapes, band);
         let mut wall = vec![NOTHING; liquid.len()];
-        shapes.walls.fill(shapes, band, rows, |at, face, depth| {
-            wall[at] = wall[at].min(key(depth, face.index));
-        });
+        shapes.fill_walls(band, |at, depth, triangle| wall[at] = wall[at].min(key(depth, triangle)));
         let mut dots = Vec::new();
         if !shapes.dots.shapes.is_empty() {
             dots = vec![0.0; liquid.len()];
@@ -221,9 +248,9 @@ impl Layers {
 pub(crate) fn behind_liquid(shapes: &Shapes, band: usize) -> Vec<u64> {
     let (liquid, _) = draw_liquid(shapes, band);
     let mut behind = vec![NOTHING; liquid.len()];
-    shapes.walls.fill(shapes, band, shapes.rows(band), |at, face, depth| {
+    shapes.fill_walls(band, |at, depth, triangle| {
         if shown(liquid[at]).is_none_or(|(liquid, _)| depth + shapes.before > liquid) {
-            behind[at] = behind[at].min(key(depth, face.index));
+            behind[at] = behind[at].min(key(depth, triangle));
         }
     });
     behind

@@ -6,7 +6,7 @@ use crate::camera::Camera;
 use crate::color::{DOT, TILE, Tone, linear};
 use crate::draw::Surface;
 use crate::image::Image;
-use crate::layers::{self, Layers, SURFACE, Shapes};
+use crate::layers::{self, BACK_FARTHER, Layers, SURFACE, Shapes};
 use crate::light::{Lit, Shadow};
 use crate::shade::{Light, Reach};
 use crate::splat::shown;
@@ -210,9 +210,11 @@ impl Painter<'_> {
     }
 
     /// The light of a wall at a pixel and depth.
-    fn wall(&self, triangle: u32, at: Vec3) -> Vec3 {
+    fn wall(&self, triangle: u32, [x, y, depth]: Vec3) -> Vec3 {
         let corners = self.stage.triangles[triangle as usize];
-        let p = self.camera.unproject(at);
+        let is_back = triangle as usize >= self.stage.first_back;
+        let farther = if is_back { BACK_FARTHER * self.light.radius } else { 0.0 };
+        let p = self.camera.unproject([x, y, depth - farther]);
         let shares = shares(p, corners.map(|v| self.stage.vertices[v as usize].0));
         let points = corners.map(|v| self.walls[v as usize]);
         let between = |of: fn(&WallPoint) -> f32| (0..3).map(|k| shares[k] * of(&points[k])).sum::<f32>();

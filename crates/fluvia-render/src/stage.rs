@@ -63,9 +63,11 @@ const OVERLAP: f32 = 0.02;
 /// Over an outer edge they would stick out before it.
 const ROUND_OVERLAP: f32 = 0.06;
 const ROUND_INNER: f32 = 0.3;
-/// Pieces of wall behind the cells of round walls: how much larger they are than those, and how far behind, in spacings.
+/// Pieces of wall behind the cells of round walls: how much larger they are than those, how far behind, and how far they
+/// reach over outer edges, in spacings.
 const BACK_SCALE: f32 = 1.35;
 const BACK_DEPTH: f32 = 0.25;
+const BACK_OUTER: f32 = 0.15;
 /// The cosine up to which normals belong to one flat wall: 2.5 degrees.
 const FLAT: f32 = 0.999;
 /// The cosine from which on a wall lies along a side of the box around all points.
@@ -193,6 +195,8 @@ enum Beyond {
     Point(u32),
     /// Another wall that stands in the way.
     Wall,
+    /// Another wall that begins where this ends, at an outer edge.
+    Outer,
     /// Nothing: the wall ends.
     Nothing,
 }
@@ -201,7 +205,7 @@ impl Beyond {
     fn point(self) -> u32 {
         match self {
             Beyond::Point(point) => point,
-            Beyond::Wall | Beyond::Nothing => NONE,
+            Beyond::Wall | Beyond::Outer | Beyond::Nothing => NONE,
         }
     }
 }
@@ -285,7 +289,7 @@ fn cell(stage: &Stage, tree: &Tree, [low, high]: [Vec3; 2], i: usize) -> Vec<Cor
             let is_flat = stage.flat[i] && stage.flat[j];
             let (beyond, over) = match side > 0.0 {
                 true => (Beyond::Wall, if is_flat { 0.0 } else { ROUND_INNER * spacing }),
-                false => (Beyond::Nothing, 0.0),
+                false => (Beyond::Outer, 0.0),
             };
             clip(&mut polygon, beyond, |p| inside(p) + over);
         }
@@ -299,8 +303,8 @@ fn cell(stage: &Stage, tree: &Tree, [low, high]: [Vec3; 2], i: usize) -> Vec<Cor
     polygon
 }
 
-/// The cells of a round wall do not join; what is seen between them is a piece of wall behind each: its middle and its
-/// corners. It is larger than the cell, but no larger where the wall ends.
+/// The cells of a round wall do not join, nor those of two at an outer edge; what is seen between them is a piece of wall behind
+/// each: its middle and its corners. It is larger than the cell, but no larger where the wall ends.
 fn back(stage: &Stage, i: usize, cell: &[Corner]) -> (Vec3, Vec<Corner>) {
     let (x, n) = (stage.position[i], stage.normal[i]);
     let behind = sub(x, scaled(n, BACK_DEPTH * stage.spacing[i]));
@@ -309,12 +313,16 @@ fn back(stage: &Stage, i: usize, cell: &[Corner]) -> (Vec3, Vec<Corner>) {
         Corner { place, ..*corner }
     };
     let mut polygon: Vec<Corner> = cell.iter().map(grown).collect();
-    let ends = |(_, corner): &(usize, &Corner)| corner.after == Beyond::Nothing;
-    for (k, corner) in cell.iter().enumerate().filter(ends) {
+    for (k, corner) in cell.iter().enumerate() {
+        let over = match corner.after {
+            Beyond::Nothing => 0.0,
+            Beyond::Outer => BACK_OUTER * stage.spacing[i],
+            Beyond::Point(_) | Beyond::Wall => continue,
+        };
         let along = sub(cell[(k + 1) % cell.len()].place, corner.place);
         // Corners run counter-clockwise about the normal: this is to the left of the edge, where the cell is.
-        let inwards = cross(n, along);
-        clip(&mut polygon, Beyond::Nothing, |p| dot(sub(p, corner.place), inwards));
+        let inwards = unit(cross(n, along));
+        clip(&mut polygon, Beyond::Nothing, |p| dot(sub(p, corner.place), inwards) + over);
     }
     (behind, polygon)
 }
@@ -478,6 +486,35 @@ mod tests {
         let beyond = |p: Vec3| (ends[0] - p[2]).max(p[2] - ends[1]) > 1e-5;
         let out: Vec<Vec3> = stage.vertices.iter().map(|(p, _)| *p).filter(|p| beyond(*p)).collect();
         assert!(out.is_empty(), "{out:?}");
+    }
+
+    #[test]
+    fn a_round_wall_ends_at_an_outer_edge_but_for_what_is_behind_it() {
+        // A hump along z that ends at z = 0, and an upright wall below its end, which faces z.
+        let (mut position, mut normal) = (Vec::new(), Vec::new());
+        for (i, k) in (0..20).flat_map(|i| (0..30).map(move |k| (i, k))) {
+            let (sine, cosine) = (0.06 * i as f32 - 0.6).sin_cos();
+            let z = 0.003 + 0.025 * k as f32 + 0.012 * ((i * 7 + k * 5) % 9) as f32 / 9.0;
+            position.push([0.4 * sine, 0.4 * cosine, -z]);
+            normal.push([sine, cosine, 0.0]);
+        }
+        let hump = position.len();
+        for (i, k) in (-8..=8).flat_map(|i| (0..12).map(move |k| (i, k))) {
+            let (x, below) = (0.025 * i as f32, 0.003 + 0.025 * k as f32);
+            position.push([x, (0.16 - x * x).sqrt() - below, 0.0]);
+            normal.push([0.0, 0.0, 1.0]);
+        }
+        let stage = Stage::new(Walls { position: &position, normal: &normal });
+        let reach = |triangles: std::ops::Range<usize>| {
+            let of_hump = triangles.filter(|&t| (stage.cell[t] as usize) < hump);
+            let corners = of_hump.flat_map(|t| stage.triangles[t]);
+            corners.map(|v| stage.vertices[v as usize].0[2]).fold(f32::NEG_INFINITY, f32::max)
+        };
+        // Float32 rounding of cuts.
+        let cells = reach(0..stage.first_back);
+        assert!(cells.abs() < 1e-5, "{cells}");
+        let behind = reach(stage.first_back..stage.triangles.len());
+        assert!(behind > 0.001 && behind < 2.0 * BACK_OUTER * 0.025, "{behind}");
     }
 
     #[test]
