@@ -23,13 +23,14 @@ render() {
 simulate dam_break --steps 200
 render dam_break -o $images/dam_break.png --sheet 4x2
 simulate waterfall --steps 500
-render waterfall -o $images/waterfall.png --surface --frame 440 --eye 2.5,2.6,1.2 --look-at 0.12,0.58,0 \
-    --field-of-view 33 --size 1200x800 --plain
+render waterfall -o $images/waterfall.png --surface --frame 440 --eye 3.7,3.6,-0.9 --look-at 0,0.7,0 \
+    --field-of-view 34 --top 1.6 --size 1000x800 --plain
 simulate hundred_thousand --steps 60
-render hundred_thousand -o $images/hundred_thousand.png --surface --eye 5.4,3.4,5.6 --look-at 0.3,0.3,0 \
-    --field-of-view 30 --size 1280x640 --plain
+render hundred_thousand -o $images/hundred_thousand.png --surface --eye 6,3.8,6.2 --look-at 0.4,0.1,0 \
+    --field-of-view 32 --size 1280x640 --plain
 
-# Divergence-free SPH.
-simulate three_viscosities --solver dfsph --solver-dt 0.001 --steps 40
-render three_viscosities -o $images/three_viscosities.png --surface --color body \
+# The learned network that takes viscosities, and divergence-free SPH.
+simulate three_viscosities --weights viscosity --steps 40
+$fluvia simulate three_viscosities --solver dfsph --solver-dt 0.001 --steps 40 --out "$out/three_viscosities_dfsph" --overwrite
+$fluvia render "learned network=$out/three_viscosities" "DFSPH=$out/three_viscosities_dfsph" -o $images/three_viscosities.png --surface --color body \
     --body-names 'viscosity 0.01,0.1,0.3' --frames 0,15,30 --yaw 10 --size 420
