@@ -14,6 +14,8 @@ use tokio::net::TcpListener;
 use tokio::sync::Semaphore;
 use tokio::time::{sleep, timeout};
 
+use crate::patience::{Patience, Patient};
+
 /// Connections at a time that still ask for the page, or for nothing yet. Who comes then waits until one of them is done.
 const MOST: usize = 128;
 
@@ -28,7 +30,7 @@ const WHOLE: Duration = Duration::from_secs(60);
 const PAUSE: Duration = Duration::from_millis(100);
 
 /// Lets connections in for as long as it is polled.
-pub(crate) async fn accept(listener: TcpListener, router: Router) {
+pub(crate) async fn accept(listener: TcpListener, router: Router, patience: Patience) {
     let mut http = http1::Builder::new();
     http.timer(TokioTimer::new()).header_read_timeout(HEADER);
     let places = Arc::new(Semaphore::new(MOST));
@@ -41,7 +43,8 @@ pub(crate) async fn accept(listener: TcpListener, router: Router) {
         // Frames are whole messages: nothing is gained by waiting for more.
         drop(stream.set_nodelay(true));
         let service = TowerToHyperService::new(router.clone());
-        let connection = http.serve_connection(TokioIo::new(stream), service).with_upgrades();
+        let connection =
+            http.serve_connection(TokioIo::new(Patient::new(stream, patience.room)), service).with_upgrades();
         tokio::spawn(async move {
             // What is wrong with a connection concerns nobody else.
             drop(timeout(WHOLE, connection).await);

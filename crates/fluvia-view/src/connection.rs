@@ -9,6 +9,7 @@ use std::sync::mpsc::TrySendError;
 use std::time::{Duration, Instant};
 
 use axum::extract::ws::{CloseFrame, Message, WebSocket, close_code};
+use bytes::Bytes;
 
 use crate::command::{Command, Received};
 use crate::frame::MAGIC;
@@ -17,8 +18,8 @@ use crate::server::Shared;
 /// Frames on their way at most: one that travels while another is drawn.
 const ON_THEIR_WAY: usize = 2;
 
-/// Who has room for nothing for so long, neither here nor in the system's buffers, is not there any more.
-const PATIENCE: Duration = Duration::from_secs(30);
+/// Who answers none of so many pings in a row is not there any more.
+const MOST_UNANSWERED: u32 = 4;
 
 /// How often a command is offered to a program that is behind.
 const COMMAND_PAUSE: Duration = Duration::from_millis(5);
@@ -32,7 +33,7 @@ pub(crate) async fn run(mut socket: WebSocket, shared: &Shared) {
     if let Err(refusal) = exchange(&mut socket, &mut wish).await {
         let close = Message::Close(Some(CloseFrame { code: refusal.0, reason: refusal.1.into() }));
         // It may be gone already.
-        let _ = tokio::time::timeout(PATIENCE, socket.send(close)).await;
+        let _ = socket.send(close).await;
     }
 }
 
@@ -53,26 +54,28 @@ async fn exchange(socket: &mut WebSocket, wish: &mut Wish<'_>) -> Result<(), Ref
     let mut sent: VecDeque<u32> = VecDeque::new();
     // When the next frame may be sent, if there is one.
     let mut due: Option<Instant> = None;
+    // When it was last asked whether anybody is there, and how often since something came.
+    let (mut asked, mut unanswered) = (Instant::now(), 0);
     loop {
         let message = tokio::select! {
             biased;
             received = socket.recv() => {
                 let Some(Ok(message)) = received else { return Ok(()) };
-                let command = match receive(message)? {
-                    Some(Received::Command(command)) => Some(command),
-                    Some(Received::Density(on)) => wish.set_density(on).then_some(Command::Refresh),
-                    Some(Received::Acknowledge(sequence)) => {
-                        while sent.front().is_some_and(|front| *front <= sequence) {
-                            sent.pop_front();
-                        }
-                        None
-                    }
-                    None => None,
-                };
-                if let Some(command) = command {
-                    give(shared, command).await;
+                unanswered = 0;
+                if let Message::Ping(payload) = message {
+                    // Nothing more is read until the answer has found room: else answers would pile up here.
+                    Message::Pong(payload)
+                } else {
+                    take(message, wish, &mut sent).await?;
+                    continue;
                 }
-                continue;
+            }
+            () = tokio::time::sleep_until((asked + shared.patience.pulse).into()) => {
+                if unanswered == MOST_UNANSWERED {
+                    return Ok(());
+                }
+                (asked, unanswered) = (Instant::now(), unanswered + 1);
+                Message::Ping(Bytes::new())
             }
             Ok(()) = state.changed() => Message::Text(state.borrow_and_update().as_str().into()),
             Ok(()) = walls.changed() => Message::Binary(walls.borrow_and_update().clone()),
@@ -100,12 +103,32 @@ async fn exchange(socket: &mut WebSocket, wish: &mut Wish<'_>) -> Result<(), Ref
         if is_empty {
             continue;
         }
-        match tokio::time::timeout(PATIENCE, socket.send(message)).await {
-            Ok(Ok(())) => {}
+        if socket.send(message).await.is_err() {
             // Gone, or as good as.
-            Ok(Err(_)) | Err(_) => return Ok(()),
+            return Ok(());
         }
     }
+}
+
+/// Does what a message asks for.
+async fn take(message: Message, wish: &mut Wish<'_>, sent: &mut VecDeque<u32>) -> Result<(), Refusal> {
+    let shared = wish.shared;
+    match receive(message)? {
+        Some(Received::Command(command)) => give(shared, command).await,
+        Some(Received::Density(on)) => {
+            let is_first = wish.set_density(on);
+            if is_first {
+                give(shared, Command::Refresh).await;
+            }
+        }
+        Some(Received::Acknowledge(sequence)) => {
+            while sent.front().is_some_and(|front| *front <= sequence) {
+                sent.pop_front();
+            }
+        }
+        None => {}
+    }
+    Ok(())
 }
 
 fn receive(message: Message) -> Result<Option<Received>, Refusal> {

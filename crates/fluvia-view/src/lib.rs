@@ -19,6 +19,7 @@ mod command;
 mod connection;
 pub mod frame;
 mod guard;
+mod patience;
 mod server;
 mod state;
 pub mod walls;

@@ -29,6 +29,7 @@ use crate::assets::{ASSETS, Asset};
 use crate::budget::Budget;
 use crate::command::Command;
 use crate::frame::{self, Frame};
+use crate::patience::Patience;
 use crate::state::State;
 use crate::walls::{self, Walls};
 use crate::{accept, connection, guard};
@@ -77,6 +78,7 @@ pub(crate) struct Shared {
     pub density: AtomicUsize,
     pub budget: Budget,
     pub places: Arc<Semaphore>,
+    pub patience: Patience,
     port: u16,
 }
 
@@ -94,6 +96,13 @@ impl Server {
     /// # Errors
     /// If the address cannot be used, or the system gives no thread.
     pub fn start(address: SocketAddr) -> Result<(Server, Receiver<Command>), Error> {
+        Server::start_with(address, Patience::default())
+    }
+
+    pub(crate) fn start_with(
+        address: SocketAddr,
+        patience: Patience,
+    ) -> Result<(Server, Receiver<Command>), Error> {
         let listen = || -> std::io::Result<_> {
             let listener = std::net::TcpListener::bind(address)?;
             listener.set_nonblocking(true)?;
@@ -115,6 +124,7 @@ impl Server {
             density: AtomicUsize::new(0),
             budget: Budget::new(),
             places: Arc::new(Semaphore::new(MOST_CONNECTIONS)),
+            patience,
             port: bound.port(),
         });
         let app = router(Arc::clone(&shared));
@@ -123,7 +133,7 @@ impl Server {
             runtime.block_on(async {
                 tokio::select! {
                     _ = ended => {}
-                    () = accept::accept(listener, app) => {}
+                    () = accept::accept(listener, app, patience) => {}
                 }
             });
         };
@@ -135,6 +145,17 @@ impl Server {
     /// Where it listens.
     pub fn address(&self) -> SocketAddr {
         self.address
+    }
+
+    /// Whether it still serves; it ends by itself only where something has gone wrong.
+    pub fn is_running(&self) -> bool {
+        self.thread.as_ref().is_some_and(|(_, thread)| !thread.is_finished())
+    }
+
+    /// How many connections more are let in.
+    #[cfg(test)]
+    pub(crate) fn places(&self) -> usize {
+        self.shared.places.available_permits()
     }
 
     /// Shows a frame. What nobody has taken of the one before is gone.

@@ -88,6 +88,8 @@ impl View {
         }
         let stream = TcpStream::connect(&self.address).expect("a connection");
         stream.set_read_timeout(Some(PATIENCE)).expect("a time limit");
+        // Of two small messages the second would wait for the system's word on the first, 40 ms.
+        stream.set_nodelay(true).expect("an option");
         match tungstenite::client(request, stream) {
             Ok((socket, _)) => Ok(Client { socket, state: Value::Null, walls: Vec::new(), reads: true }),
             Err(tungstenite::HandshakeError::Failure(tungstenite::Error::Http(answer))) => {
@@ -196,6 +198,8 @@ impl Client {
                 }
                 Some(frame)
             }
+            // It is answered when the next message is read.
+            Message::Ping(_) => None,
             other => panic!("{other:?}"),
         }
     }

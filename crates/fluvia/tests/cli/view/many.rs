@@ -1,6 +1,10 @@
 //! Many connections, and some that do not read: the program goes on, and grows for none of them.
 
+use std::io::Write;
+use std::time::Duration;
+
 use serde_json::json;
+use tungstenite::Message;
 
 use super::client::{Client, View};
 use crate::common::Folder;
@@ -8,12 +12,15 @@ use crate::common::Folder;
 /// As many as the server must stand at least.
 const CONNECTIONS: usize = 50;
 
-/// Frames of 5,600 particles, 56 kB each: 1,000 of them are 56 MB.
+/// Frames of 5,600 particles, 56 kB each: 1,000 of them are 56 MB, more than the buffers of a system hold for a connection.
 const FRAMES: usize = 1000;
 
 /// What the program may grow by meanwhile, kB: the sockets' own buffers are the system's and do not count, two frames on
 /// their way to each connection do (5.6 MB), and what allocators keep.
 const GROWTH: u64 = 24_000;
+
+/// Bytes of pings that are sent, and none of the answers is read.
+const PINGS: usize = 50_000_000;
 
 /// The memory that the process uses, kB; `None` where the system does not say.
 fn memory(view: &View) -> Option<u64> {
@@ -22,12 +29,19 @@ fn memory(view: &View) -> Option<u64> {
     line.split_whitespace().nth(1)?.parse().ok()
 }
 
-/// Puts another frame on show so many times, and sees each of them.
-fn go_through(client: &mut Client, frames: usize) {
-    for k in 0..frames {
-        client.send(json!({"do": "seek", "index": 1 - k % 2}));
-        let frame = client.frame();
-        assert_eq!(frame.number as usize, 1 - k % 2);
+/// Puts another frame on show, and sees it.
+fn seek(client: &mut Client, index: usize) {
+    client.send(json!({"do": "seek", "index": index}));
+    assert_eq!(client.frame().number as usize, index);
+}
+
+/// What must not have grown.
+fn assert_small(before: Option<u64>, after: Option<u64>) {
+    match (before, after) {
+        (Some(before), Some(after)) => {
+            assert!(after < before + GROWTH, "{before} kB before, {after} kB after");
+        }
+        _ => println!("skipped: this system does not say how much memory a process uses"),
     }
 }
 
@@ -38,30 +52,48 @@ fn who_does_not_read_costs_nothing() {
     let view = View::start(&folder, "run --paused");
     let mut client = view.connect();
     client.frame();
-    // Some never read and never acknowledge; some acknowledge what they have not got and never read; some only come.
+    // None of them reads; some acknowledge all the same, so that frames are sent to them until nothing more fits anywhere.
     let mut idle: Vec<Client> = (0..CONNECTIONS).map(|_| view.connect()).collect();
-    for greedy in idle.iter_mut().step_by(2) {
-        greedy.send(json!({"do": "acknowledge", "sequence": u32::MAX}));
-    }
-    go_through(&mut client, 100);
+    (0..100).for_each(|k| seek(&mut client, 1 - k % 2));
     let before = memory(&view);
-    for part in 0..10 {
-        go_through(&mut client, FRAMES / 10);
-        for greedy in idle.iter_mut().step_by(2) {
-            greedy.send(json!({"do": "acknowledge", "sequence": u32::MAX - part}));
+    for k in 0..FRAMES {
+        seek(&mut client, 1 - k % 2);
+        for greedy in idle.iter_mut().step_by(5) {
+            // It is let go after a while.
+            let all = json!({"do": "acknowledge", "sequence": u32::MAX});
+            let _ = greedy.socket.send(Message::text(all.to_string()));
         }
     }
-    match (before, memory(&view)) {
-        (Some(before), Some(after)) => {
-            assert!(after < before + GROWTH, "{before} kB before, {after} kB after");
-        }
-        _ => println!("skipped: this system does not say how much memory a process uses"),
-    }
+    assert_small(before, memory(&view));
     // Who begins to read gets what is newest after what was on its way.
     let late = &mut idle[1];
     let first = late.frame();
     let newest = late.until_frame("the newest is there", |frame| frame.sequence > FRAMES as u32);
     assert!(newest.sequence > first.sequence + 100, "{} after {}", newest.sequence, first.sequence);
+}
+
+/// Whoever asks has to take the answers.
+#[test]
+fn who_pings_and_does_not_read_costs_nothing() {
+    let folder = Folder::new();
+    folder.write("scene.json", crate::common::SCENE);
+    let view = View::start(&folder, "scene.json --solver pbf --paused");
+    let mut client = view.connect();
+    let first = client.frame().number;
+    let before = memory(&view);
+    let mut pinging = view.connect();
+    pinging.socket.get_mut().set_write_timeout(Some(Duration::from_secs(3))).unwrap();
+    // Frames of RFC 6455, 5.2: final, a ping; masked, 125 bytes; a mask of zeros.
+    let ping = [&[0x89, 0x80 | 125, 0, 0, 0, 0][..], &[7; 125]].concat();
+    let many = ping.repeat(1000);
+    let mut sent = 0;
+    // Until there is no room for more anywhere.
+    while sent < PINGS && pinging.socket.get_mut().write_all(&many).is_ok() {
+        sent += many.len();
+    }
+    assert_small(before, memory(&view));
+    client.send(json!({"do": "step", "by": 1}));
+    client.until_frame("it has stepped", |frame| frame.number > first);
 }
 
 #[test]
@@ -137,7 +169,7 @@ fn there_is_an_end_to_connections() {
         if view.connect_as(&view.address, None).is_ok() {
             return;
         }
-        std::thread::sleep(std::time::Duration::from_millis(10));
+        std::thread::sleep(Duration::from_millis(10));
     }
     panic!("no place after connections have gone");
 }
