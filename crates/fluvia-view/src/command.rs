@@ -10,7 +10,7 @@ pub enum Command {
     Play,
     /// Stand still.
     Pause,
-    /// So many frames on, one after another, back where negative, and stand still.
+    /// So many frames on, one after another, back where negative, and stand still; beside what is left of steps before.
     Step {
         /// Frames.
         by: i32,

@@ -131,6 +131,7 @@ fn serve<S: Show + Send + 'static>(
     report: &Report,
 ) -> Result<ExitCode> {
     let (server, commands) = Server::start(SocketAddr::new(args.bind, args.port))?;
+    let server = Arc::new(server);
     let interrupted = interrupt::watch()?;
     let address = format!("http://{}/", server.address());
     if !args.bind.is_loopback() {
@@ -141,10 +142,10 @@ fn serve<S: Show + Send + 'static>(
     if args.open {
         open(&address, report);
     }
-    let mut stage = Stage::new(server, commands, show, !args.paused);
+    let mut stage = Stage::new(Arc::clone(&server), commands, show, !args.paused);
     let thread = std::thread::Builder::new().name("stage".into());
     let thread = thread.spawn(move || pool.install(|| stage.run()))?;
-    while !interrupted.load(Ordering::Relaxed) && !thread.is_finished() {
+    while !interrupted.load(Ordering::Relaxed) && !thread.is_finished() && server.is_running() {
         std::thread::sleep(LOOK);
     }
     // A step may take seconds, and nobody wants its result: the process ends below it. What is being written is waited for.
@@ -152,7 +153,8 @@ fn serve<S: Show + Send + 'static>(
         report.note(format_args!("{}: {}", directory.display(), counted(frames, "frame")));
     }
     if !interrupted.load(Ordering::Relaxed) {
-        bail!("the simulation has ended unexpectedly");
+        let what = if thread.is_finished() { "the simulation" } else { "the server" };
+        bail!("{what} has ended unexpectedly");
     }
     Ok(interrupt::exit_code())
 }

@@ -1,8 +1,9 @@
 //! The thread that decides what everybody sees: it keeps time, obeys, and publishes.
 //!
-//! Commands are carried out in the order in which they came. Every step is published, so that a row of them is seen as such.
+//! Commands are carried out in the order in which they came, and between the steps of a row. Every step is published, so that
+//! a row is seen as such.
 
-use std::collections::VecDeque;
+use std::sync::Arc;
 use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant};
 
@@ -47,23 +48,23 @@ pub trait Show {
 /// How fast time can be chosen to pass.
 const SPEEDS: std::ops::RangeInclusive<f64> = 0.01..=100.0;
 
-/// Without a next frame: how long to wait for commands at a time.
+/// Without a next frame: how long to wait for commands at a time. No frame stays longer.
 const IDLE: Duration = Duration::from_secs(3600);
 
 /// Frames that are left out at a time at most: more is no lag but a machine that slept.
 const MOST_BEHIND: f64 = 100.0;
 
-/// Commands that are taken from the server at most before those that were taken are carried out.
-const MOST_WAITING: usize = 64;
+/// Commands that are carried out at most before time passes again.
+const MOST_TAKEN: usize = 64;
 
 /// The thread's state.
 pub struct Stage<S> {
-    server: Server,
+    server: Arc<Server>,
     commands: Receiver<Command>,
-    /// What has come and was not carried out yet.
-    waiting: VecDeque<Command>,
     show: S,
     playing: bool,
+    /// What is left of a row of steps. Each may take seconds, and somebody may think better of it meanwhile.
+    steps: u32,
     /// Whether anybody has come to look: time does not pass before.
     is_seen: bool,
     /// Simulated seconds in a second; none: as fast as possible.
@@ -74,13 +75,13 @@ pub struct Stage<S> {
 }
 
 impl<S: Show> Stage<S> {
-    pub fn new(server: Server, commands: Receiver<Command>, show: S, playing: bool) -> Stage<S> {
+    pub fn new(server: Arc<Server>, commands: Receiver<Command>, show: S, playing: bool) -> Stage<S> {
         Stage {
             server,
             commands,
-            waiting: VecDeque::new(),
             show,
             playing,
+            steps: 0,
             is_seen: false,
             speed: Some(1.0),
             due: Instant::now(),
@@ -93,15 +94,24 @@ impl<S: Show> Stage<S> {
         self.server.publish_walls(&self.show.walls());
         self.publish();
         loop {
-            // Else nothing came in time: the other end is with the server, which is ours.
-            if let Ok(first) = self.commands.recv_timeout(self.wait()) {
-                self.waiting.push_back(first);
-                self.take();
-                self.obey_all();
-            }
-            if self.passes() && self.due <= Instant::now() {
-                self.go_on();
-            }
+            self.turn();
+        }
+    }
+
+    /// Obeys what has come, and shows a frame if one is due.
+    fn turn(&mut self) {
+        // Else nothing came in time: the other end is with the server, which is ours.
+        if let Ok(first) = self.commands.recv_timeout(self.wait()) {
+            let others = self.commands.try_iter().take(MOST_TAKEN);
+            let commands: Vec<Command> = std::iter::once(first).chain(others).collect();
+            self.obey_all(commands);
+        }
+        if self.steps > 0 {
+            self.steps -= 1;
+            self.go_on(1);
+        } else if self.passes() && self.due <= Instant::now() {
+            let frames = self.frames_due();
+            self.go_on(frames);
         }
     }
 
@@ -112,43 +122,52 @@ impl<S: Show> Stage<S> {
 
     /// How long there is nothing to do but to obey.
     fn wait(&self) -> Duration {
-        if self.passes() { self.due.saturating_duration_since(Instant::now()) } else { IDLE }
-    }
-
-    /// Takes the commands that have come.
-    fn take(&mut self) {
-        let room = MOST_WAITING.saturating_sub(self.waiting.len());
-        self.waiting.extend(self.commands.try_iter().take(room));
+        if self.steps > 0 {
+            Duration::ZERO
+        } else if self.passes() {
+            self.due.saturating_duration_since(Instant::now())
+        } else {
+            IDLE
+        }
     }
 
     /// The time between frames.
     fn interval(&self) -> Duration {
-        self.speed.map_or(Duration::ZERO, |speed| Duration::from_secs_f64(self.show.dt() / speed))
+        self.speed.map_or(Duration::ZERO, |speed| {
+            Duration::try_from_secs_f64(self.show.dt() / speed).map_or(IDLE, |interval| interval.min(IDLE))
+        })
     }
 
-    /// The next frame, or a later one where frames can be left out and this one comes too late.
-    fn go_on(&mut self) {
+    /// One frame, or more where frames can be left out and the next one comes too late.
+    fn frames_due(&mut self) -> u32 {
         let (now, interval) = (Instant::now(), self.interval());
         let late = (now - self.due).as_secs_f64() / interval.as_secs_f64();
         let frames = if self.show.can_skip() && late < MOST_BEHIND { 1 + late as u32 } else { 1 };
         // What lags is not made up for.
         self.due = (self.due + interval * frames).max(now);
+        frames
+    }
+
+    /// So many frames on.
+    fn go_on(&mut self, frames: u32) {
         if let Err(error) = self.show.advance(frames.into()) {
-            self.playing = false;
+            (self.playing, self.steps) = (false, 0);
             self.say(true, one_line(&error));
         }
-        self.playing &= !self.show.is_over();
+        if self.show.is_over() {
+            (self.playing, self.steps) = (false, 0);
+        }
         self.publish();
     }
 
-    /// Carries out what waits.
-    fn obey_all(&mut self) {
+    /// Carries out commands; of a row that replace one another the last.
+    fn obey_all(&mut self, commands: Vec<Command>) {
         let mut is_published = true;
-        while let Some(command) = self.waiting.pop_front() {
-            if self.waiting.front().is_some_and(|later| command.is_replaced_by(later)) {
+        for (k, command) in commands.iter().enumerate() {
+            if commands.get(k + 1).is_some_and(|later| command.is_replaced_by(later)) {
                 continue;
             }
-            if let Err(error) = self.obey(&command) {
+            if let Err(error) = self.obey(command) {
                 self.say(true, one_line(&error));
             }
             is_published = match command {
@@ -172,17 +191,18 @@ impl<S: Show> Stage<S> {
                 if self.show.is_over() {
                     self.show.obey(&Command::Reset)?;
                 }
-                self.playing = !self.show.is_over();
+                (self.playing, self.steps) = (!self.show.is_over(), 0);
                 self.due = Instant::now() + self.interval();
             }
-            Command::Pause => self.playing = false,
+            Command::Pause => (self.playing, self.steps) = (false, 0),
             Command::Step { by } => self.step(by)?,
             Command::Speed { factor } => {
                 if let Some(factor) = factor.filter(|factor| !SPEEDS.contains(factor)) {
                     bail!("speed {factor}, expected {} to {}", SPEEDS.start(), SPEEDS.end());
                 }
                 self.speed = factor;
-                self.due = Instant::now() + self.interval();
+                // What is due sooner stays so, or nothing would move while a slow speed is chosen.
+                self.due = self.due.min(Instant::now() + self.interval());
             }
             Command::Look => {
                 // The first frame is seen from now on.
@@ -193,6 +213,7 @@ impl<S: Show> Stage<S> {
             _ => {
                 self.show.obey(command)?;
                 if *command == Command::Reset {
+                    self.steps = 0;
                     self.due = Instant::now() + self.interval();
                 }
             }
@@ -202,20 +223,13 @@ impl<S: Show> Stage<S> {
 
     /// So many frames on, or back, and stands still.
     fn step(&mut self, by: i32) -> Result<()> {
-        self.playing = false;
         if by < 0 || self.show.can_skip() {
-            return self.show.advance(by.into());
+            self.show.advance(by.into())?;
+        } else if by > 0 {
+            self.show.advance(1)?;
+            self.steps = if self.show.is_over() { 0 } else { self.steps.saturating_add_signed(by - 1) };
         }
-        if by == 0 {
-            return Ok(());
-        }
-        self.show.advance(1)?;
-        // Each step may take seconds: the others come next, unless somebody has thought better of it.
-        self.take();
-        let ends = |command: &Command| matches!(command, Command::Play | Command::Pause | Command::Reset);
-        if by > 1 && !self.show.is_over() && !self.waiting.iter().any(ends) {
-            self.waiting.push_front(Command::Step { by: by - 1 });
-        }
+        self.playing = false;
         Ok(())
     }
 
@@ -270,21 +284,23 @@ mod tests {
 
     use super::*;
 
-    /// Ten frames without particles; says no to changes of gravity.
-    struct Ten {
+    /// Frames without particles; says no to changes of gravity.
+    struct Frames {
         at: i64,
+        last: i64,
+        dt: f64,
         skips: bool,
         sought: Vec<usize>,
         shown: Vec<i64>,
     }
 
-    impl Show for Ten {
+    impl Show for Frames {
         fn walls(&self) -> Walls {
             Walls::default()
         }
 
         fn dt(&self) -> f64 {
-            0.02
+            self.dt
         }
 
         fn can_skip(&self) -> bool {
@@ -292,12 +308,15 @@ mod tests {
         }
 
         fn advance(&mut self, frames: i64) -> Result<()> {
-            self.at = (self.at + frames).clamp(0, 9);
+            if frames < 0 && !self.skips {
+                bail!("not back");
+            }
+            self.at = (self.at + frames).clamp(0, self.last);
             Ok(())
         }
 
         fn is_over(&self) -> bool {
-            self.at == 9
+            self.at == self.last
         }
 
         fn obey(&mut self, command: &Command) -> Result<()> {
@@ -323,15 +342,19 @@ mod tests {
         }
     }
 
-    fn stage(skips: bool) -> Stage<Ten> {
+    /// Of ten frames.
+    fn stage(skips: bool) -> Stage<Frames> {
         let (server, commands) = Server::start(SocketAddr::from((Ipv4Addr::LOCALHOST, 0))).unwrap();
-        Stage::new(server, commands, Ten { at: 0, skips, sought: Vec::new(), shown: Vec::new() }, true)
+        let show = Frames { at: 0, last: 9, dt: 0.02, skips, sought: Vec::new(), shown: Vec::new() };
+        Stage::new(Arc::new(server), commands, show, true)
     }
 
-    /// Obeys what came at once.
-    fn obey<const N: usize>(stage: &mut Stage<Ten>, commands: [Command; N]) {
-        stage.waiting.extend(commands);
-        stage.obey_all();
+    /// Obeys what came at once, and takes the steps that were asked for.
+    fn obey<const N: usize>(stage: &mut Stage<Frames>, commands: [Command; N]) {
+        stage.obey_all(commands.to_vec());
+        while stage.steps > 0 {
+            stage.turn();
+        }
     }
 
     #[test]
@@ -356,10 +379,14 @@ mod tests {
         let step = |by| Command::Step { by };
         let mut slow = stage(false);
         obey(&mut slow, [step(3), step(1), step(0)]);
-        assert_eq!(slow.show.shown, [1, 2, 3, 4, 4]);
+        assert_eq!(slow.show.shown, [1, 2, 2, 3, 4]);
         assert!(!slow.playing);
         obey(&mut slow, [step(5), Command::Pause]);
         assert_eq!(slow.show.at, 5);
+        // What is refused changes nothing.
+        slow.playing = true;
+        obey(&mut slow, [step(-1)]);
+        assert!(slow.playing && slow.message.take().is_some());
         // There is an end to it.
         slow.show.shown.clear();
         obey(&mut slow, [step(i32::MAX)]);
@@ -371,28 +398,67 @@ mod tests {
     }
 
     #[test]
+    fn whoever_asks_for_many_steps_locks_nobody_out() {
+        let mut stage = stage(false);
+        stage.show.last = i64::MAX;
+        let (sender, commands) = std::sync::mpsc::channel();
+        stage.commands = commands;
+        sender.send(Command::Step { by: 1000 }).unwrap();
+        for k in 0..70 {
+            sender.send(Command::Gravity { to: [k as f32, 0.0, 0.0] }).unwrap();
+            sender.send(Command::Seek { index: k }).unwrap();
+        }
+        sender.send(Command::Pause).unwrap();
+        stage.turn();
+        while stage.steps > 0 && stage.show.at < 10 {
+            stage.turn();
+        }
+        assert_eq!((stage.show.sought.len(), stage.steps), (70, 0));
+        assert!(stage.show.at < 10, "{}", stage.show.at);
+    }
+
+    #[test]
+    fn frames_that_are_ages_apart_are_waited_for() {
+        let mut stage = stage(true);
+        stage.is_seen = true;
+        for dt in [1e30, f64::MAX] {
+            stage.show.dt = dt;
+            for command in [Command::Speed { factor: Some(0.01) }, Command::Play, Command::Reset] {
+                stage.obey(&command).unwrap();
+                assert!(stage.wait() <= IDLE);
+            }
+            stage.due = Instant::now();
+            assert_eq!(stage.frames_due(), 1);
+        }
+    }
+
+    #[test]
     fn late_frames_are_left_out_where_they_can_be() {
+        let pass = |stage: &mut Stage<Frames>| {
+            let frames = stage.frames_due();
+            stage.go_on(frames);
+        };
         for (skips, shown) in [(true, 4), (false, 1)] {
             let mut stage = stage(skips);
             // Three frames and a half too late.
             stage.due = Instant::now() - Duration::from_millis(70);
-            stage.go_on();
+            pass(&mut stage);
             assert_eq!(stage.show.at, shown);
             assert!(stage.due + Duration::from_millis(1) > Instant::now());
         }
         // A machine that slept for an hour.
         let mut slept = stage(true);
         slept.due = Instant::now() - Duration::from_secs(3600);
-        slept.go_on();
+        pass(&mut slept);
         assert_eq!(slept.show.at, 1);
         // As fast as possible: every frame, at once.
         let mut fast = stage(true);
         fast.speed = None;
         for at in 1..9 {
-            fast.go_on();
+            pass(&mut fast);
             assert_eq!((fast.show.at, fast.playing), (at, true));
         }
-        fast.go_on();
+        pass(&mut fast);
         assert!(!fast.playing, "it is over");
         fast.obey(&Command::Play).unwrap();
         assert_eq!((fast.show.at, fast.playing), (0, true));
