@@ -107,8 +107,8 @@ impl Live {
 
     fn reset(&mut self) -> Result<()> {
         let had_failed = self.is_over();
-        self.stop_recording()?;
         let rollout = Rollout::new(&self.setup)?;
+        self.stop_recording()?;
         self.panels.iter_mut().for_each(|panel| panel.restart(rollout.clone()));
         if had_failed {
             // Who pressed play may have expected it to go on.
@@ -174,8 +174,8 @@ impl Live {
         if on == (self.panels.len() > 1) {
             return Ok(());
         }
-        self.stop_recording()?;
         if !on {
+            self.stop_recording()?;
             self.panels.truncate(1);
             return Ok(());
         }
@@ -185,6 +185,8 @@ impl Live {
         let mut rollout = first.rollout.clone();
         rollout.forget();
         let solver = self.make(other)?;
+        // From here on nothing is refused: a recording is of what it began with.
+        self.stop_recording()?;
         self.panels.push(Panel::new(other, solver, rollout));
         Ok(())
     }

@@ -185,6 +185,12 @@ fn liquids_of_two_densities_are_not_for_every_solver() {
     assert!(pbf["refused"].as_str().unwrap().contains("densities 1000 and 500"), "{pbf}");
     let said = client.answer(json!({"do": "solver", "panel": 0, "name": "pbf"}));
     assert!(said.contains("the same density in all fluids"), "{said}");
+    // What is refused changes nothing: a recording goes on.
+    client.send(json!({"do": "record", "on": true}));
+    client.until("it records", |state| !state["recording"].is_null());
+    let said = client.answer(json!({"do": "compare", "on": true}));
+    assert!(said.contains("no other solver"), "{said}");
+    assert!(!client.state["recording"].is_null(), "{}", client.state);
 }
 
 #[test]
