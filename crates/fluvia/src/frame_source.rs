@@ -61,6 +61,11 @@ impl FrameSource {
             record.as_ref().map_or((dt, DEFAULT_PARTICLE_RADIUS, DEFAULT_GRAVITY), |record| {
                 (record.dt, record.particle_radius, record.gravity)
             });
+        for (key, value) in [("dt", dt), ("particle_radius", particle_radius)] {
+            if !(value > 0.0 && value.is_finite()) {
+                bail!("{}: `{key}`: {value}, expected a positive number", record_path.display());
+            }
+        }
         let radius_is_recorded = record.is_some();
         let walls = run::read_walls(path)?.unwrap_or_default();
         let (path, dt, kind) = (path.to_path_buf(), decimal(dt), Kind::Run(record.map(Box::new)));

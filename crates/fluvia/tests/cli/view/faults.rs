@@ -199,6 +199,14 @@ fn what_cannot_be_shown_is_one_line() {
     folder.fail("view notes.txt", &["notes.txt", "no frames"]);
     folder.fail("view scene.json --weights missing.pt", &["missing.pt"]);
     folder.fail("view scene.json --dt 0.1", &["--dt", "expected frames on disk"]);
+    folder.succeed("simulate scene.json --solver pbf --steps 1 --out run");
+    let record = std::fs::read_to_string(folder.path("run/run.json")).unwrap();
+    for (key, wrong) in [("dt", "-0.02"), ("particle_radius", "0.0")] {
+        let mut changed: serde_json::Value = serde_json::from_str(&record).unwrap();
+        changed[key] = serde_json::from_str(wrong).unwrap();
+        folder.write("run/run.json", changed.to_string());
+        folder.fail("view run", &["run/run.json", &format!("`{key}`"), "expected a positive number"]);
+    }
     folder.fail("view scene.json --solver pbf --bind 203.0.113.7", &["203.0.113.7"]);
     let frames = sequence("plain");
     for option in ["--solver pbf", "--weights default", "--seed 1", "--precision bf16", "--format ply"] {
