@@ -5,5 +5,7 @@ mod client;
 mod faults;
 mod live;
 mod many;
+mod modules;
 mod page;
+mod pictures;
 mod playback;
