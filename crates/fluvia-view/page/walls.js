@@ -84,14 +84,20 @@ export function buildSurface({ vertices, triangles }) {
     const scaled = triangleNormal(vertices, corners);
     const length = Math.hypot(...scaled) || 1;
     normals.push(scaled.map((x) => x / length));
-    const moment = [0, 1, 2].reduce((sum, k) => sum + scaled[k] * vertices[3 * corners[0] + k], 0);
-    volume.set(part[corners[0]], (volume.get(part[corners[0]]) ?? 0) + moment);
+    // Seen from a vertex of the same surface: far from the origin nothing is lost.
+    const whole = part[corners[0]];
+    const moment = [0, 1, 2].reduce((sum, k) => sum + scaled[k] * (vertices[3 * corners[0] + k] - vertices[3 * whole + k]), 0);
+    volume.set(whole, (volume.get(whole) ?? 0) + moment);
     for (const k of [0, 1, 2]) {
       const [a, b] = [corners[k], corners[(k + 1) % 3]];
       const key = Math.min(a, b) * vertices.length + Math.max(a, b);
-      edges.set(key, [...(edges.get(key) ?? []), t]);
+      const sides = edges.get(key);
+      if (sides) sides.push(t);
+      else edges.set(key, [t]);
     }
   }
+  // What is open has no inside, and holds fluid.
+  for (const [key, sides] of edges) if (sides.length % 2 === 1) volume.set(part[key % vertices.length], 0);
   const faces = new Float32Array(21 * count);
   for (let t = 0; t < count; t++) {
     for (const k of [0, 1, 2]) {

@@ -49,11 +49,14 @@ fn its_modules_compute_what_they_say() {
          const vertices = Float32Array.from({ length: 24 }, (_, k) => (Math.floor(k / 3) >> (k % 3)) & 1); \
          const sides = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]]; \
          const outwards = sides.flatMap(([a, b, c, d]) => [a, b, c, a, c, d]); \
-         return [outwards, [...outwards].reverse()].map((corners) => { \
-           const { faces, lines } = buildSurface({ vertices, triangles: Uint32Array.from(corners) }); \
-           return [faces.length / 21, lines.length / 14, faces[6]]; }); })()",
+         const built = (corners, height) => { \
+           const { faces, lines } = buildSurface({ vertices: vertices.map((x) => x + height), triangles: Uint32Array.from(corners) }); \
+           return [faces.length / 21, lines.length / 14, faces[6]]; }; \
+         return [outwards, [...outwards].reverse()].flatMap((corners) => \
+           [built(corners, 0), built(corners, 1000), built(corners.slice(0, 30), 1000)]); })()",
     );
-    assert_eq!(cube, json!([[12, 12, 1], [12, 12, 0]]));
+    // Without its last side it is open, and no obstacle, wherever it is.
+    assert_eq!(cube, json!([[12, 12, 1], [12, 12, 1], [10, 12, 0], [12, 12, 0], [12, 12, 0], [10, 12, 0]]));
     // Slow pictures make coarser ones, fast ones finer; what was too fine is tried again, after longer.
     let finenesses = browser.value(
         "(async () => { const { Fineness } = await import('./renderer.js'); \
