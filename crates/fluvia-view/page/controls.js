@@ -9,6 +9,9 @@ const GRAVITY = [0, -9.81, 0];
 
 const speedName = (factor) => (factor === null ? "max" : `${{ 0.125: "⅛", 0.25: "¼", 0.5: "½" }[factor] ?? factor}×`);
 
+/** The ends of the sliders of gravity, metres per second squared; farther apart where a scene has more. */
+const MOST_GRAVITY = 20;
+
 /** Sliders of viscosity are finer where liquids are thin. */
 const VISCOSITY_POWER = 3;
 
@@ -26,6 +29,7 @@ export class Controls {
     click("record", () => send({ do: "record", on: !app.state?.recording }));
     click("view-reset", () => app.resetView());
     click("gravity-reset", () => send({ do: "gravity", to: app.state?.scene_gravity ?? GRAVITY }));
+    click("viscosity-reset", () => send({ do: "viscosity", to: null }));
     click("theme", () => this.nextTheme());
     click("help-open", () => find("help").showModal());
     click("settings-toggle", () => this.toggleSettings());
@@ -46,9 +50,9 @@ export class Controls {
     }
     document.body.classList.add("drops");
     this.slider("size", (value) => `${value.toFixed(2)} m`, () => {});
-    this.slider("scrub", String, (index) => send({ do: "seek", index }));
+    this.slider("scrub", (index) => `${index + 1} of ${Number(find("scrub").max) + 1}`, (index) => send({ do: "seek", index }));
     [0, 1, 2].forEach((axis) => {
-      this.slider(`gravity-${axis}`, (value) => `${value.toFixed(1).replace("-", "−")} m/s²`, (value) => {
+      this.slider(`gravity-${axis}`, (value) => `${value.toFixed(2).replace("-", "−")} m/s²`, (value) => {
         const to = [...(app.state?.gravity ?? GRAVITY)];
         to[axis] = value;
         send({ do: "gravity", to });
@@ -73,21 +77,26 @@ export class Controls {
   slider(id, name, act) {
     const element = find(id);
     const output = find(`${id}-value`);
-    const show = () => output && (output.textContent = name(Number(element.value)));
+    element.show = (value, text = name(value)) => {
+      if (output) output.textContent = text;
+      element.setAttribute("aria-valuetext", text);
+    };
     element.addEventListener("input", () => {
-      show();
+      element.show(Number(element.value));
       act(Number(element.value));
     });
     element.addEventListener("pointerdown", () => this.held.add(id));
-    for (const end of ["pointerup", "pointercancel", "change"]) element.addEventListener(end, () => this.held.delete(id));
-    element.show = show;
-    show();
+    for (const end of ["pointerup", "pointercancel", "lostpointercapture", "change", "blur"]) {
+      element.addEventListener(end, () => this.held.delete(id));
+    }
+    element.show(Number(element.value));
   }
 
-  setSlider(id, value) {
+  /** Moves a slider to a value, as near as it comes; what is said is the value itself, or the text. */
+  setSlider(id, value, text) {
     if (this.held.has(id)) return;
     find(id).value = value;
-    find(id).show();
+    find(id).show(value, text);
   }
 
   viscosityAt(place) {
@@ -191,7 +200,11 @@ export class Controls {
     this.setColorings(state);
     if (state.stored) find("scrub").max = state.stored[2] - 1;
     if (state.mode !== "live") return;
-    state.gravity.forEach((value, axis) => this.setSlider(`gravity-${axis}`, value));
+    const most = Math.max(MOST_GRAVITY, ...[...state.gravity, ...state.scene_gravity].map((value) => Math.ceil(Math.abs(value))));
+    state.gravity.forEach((value, axis) => {
+      Object.assign(find(`gravity-${axis}`), { min: -most, max: most });
+      this.setSlider(`gravity-${axis}`, value);
+    });
     this.setViscosity(state);
     this.setSolvers(state);
     const { recording } = state;
@@ -221,12 +234,9 @@ export class Controls {
     find("viscosity-hint").hidden = viscosities !== null;
     const why = panels.some(({ solver }) => solver === "pbf") ? "PBF has no viscosity" : "Made for one viscosity";
     find("viscosity-hint").textContent = `${why}; DFSPH and the network viscosity take others.`;
-    if (viscosities && viscosity !== null) {
-      const { low, high } = viscosities;
-      const part = Math.min(1, Math.max(0, (viscosity - low) / (high - low)));
-      this.setSlider("viscosity", part ** (1 / VISCOSITY_POWER));
-    }
-    if (!this.held.has("viscosity")) find("viscosity-value").textContent = viscosity === null ? "several" : String(Number(viscosity.toPrecision(3)));
+    const { low, high } = viscosities ?? { low: 0, high: 1 };
+    const part = Math.min(1, Math.max(0, ((viscosity ?? low) - low) / (high - low)));
+    this.setSlider("viscosity", part ** (1 / VISCOSITY_POWER), viscosity === null ? "several" : String(Number(viscosity.toPrecision(3))));
   }
 
   setSolvers(state) {

@@ -188,7 +188,7 @@ function read(now) {
   if (!app.frame || now - app.lastRead < READ) return;
   app.lastRead = now;
   app.readouts.show(app.frame, app.connection);
-  if (app.state?.stored) app.controls.setSlider("scrub", app.frame.index);
+  if (app.state?.stored) app.controls.setSlider("scrub", app.frame.index, `frame ${app.frame.number}`);
   const bodies = app.view.coloring === "body" ? countBodies(app.frame.panels) : 0;
   if (bodies !== (app.bodies ?? 0)) {
     app.bodies = bodies;

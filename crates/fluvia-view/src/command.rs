@@ -52,8 +52,8 @@ pub enum Command {
     },
     /// Change the viscosity of all fluids.
     Viscosity {
-        /// The coefficient of Bender & Koschier 2017.
-        to: f32,
+        /// The coefficient of Bender & Koschier 2017; that of the scene, of each fluid its own, if there is none.
+        to: Option<f32>,
     },
     /// Go on with another solver.
     Solver {
@@ -158,6 +158,10 @@ mod tests {
         assert_eq!(parsed(r#"{"do":"play"}"#), Received::Command(Command::Play));
         assert_eq!(parsed(r#"{"do":"acknowledge","sequence":7}"#), Received::Acknowledge(7));
         assert_eq!(parsed(r#"{"do":"density","on":true}"#), Received::Density(true));
+        assert_eq!(
+            parsed(r#"{"do":"viscosity","to":null}"#),
+            Received::Command(Command::Viscosity { to: None })
+        );
         assert_eq!(
             parsed(r#"{"do":"speed","factor":null}"#),
             Received::Command(Command::Speed { factor: None })

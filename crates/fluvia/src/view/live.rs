@@ -15,7 +15,7 @@ use fluvia_sim::kernel::{CubicSpline, SUPPORT_IN_RADII, wall_volumes};
 use fluvia_sim::metrics::density_ratios_within;
 use fluvia_sim::pour::{Ray, Room};
 use fluvia_sim::rollout::{Rollout, Solver};
-use fluvia_sim::scene::{DEFAULT_DT, Emitter, Setup, up};
+use fluvia_sim::scene::{DEFAULT_DT, Emitter, Material, Setup, up};
 use fluvia_view::walls::Walls;
 use fluvia_view::{Command, Frame, Mode, PanelState, Range, Recording, State};
 
@@ -39,6 +39,8 @@ pub struct Live {
     kernel: Kernel,
     /// Before anybody changed it, metres per second squared.
     gravity: [f32; 3],
+    /// Of the fluids, before anybody changed them.
+    materials: Vec<Material>,
     /// The scene as it was changed; its last fluid is what was poured.
     setup: Setup,
     room: Room,
@@ -83,6 +85,7 @@ impl Live {
             seed,
             kernel,
             gravity: setup.gravity,
+            materials: setup.emitters.iter().map(|emitter| emitter.material).collect(),
             setup,
             room,
             volumes: None,
@@ -139,9 +142,12 @@ impl Live {
         Ok(())
     }
 
-    fn change_viscosity(&mut self, to: f32) -> Result<()> {
+    /// To one viscosity, or to those of the scene.
+    fn change_viscosity(&mut self, to: Option<f32>) -> Result<()> {
         let before: Vec<_> = self.setup.emitters.iter().map(|emitter| emitter.material).collect();
-        self.setup.emitters.iter_mut().for_each(|emitter| emitter.material.viscosity = Some(to));
+        for (emitter, of_scene) in self.setup.emitters.iter_mut().zip(&self.materials) {
+            emitter.material.viscosity = to.or(of_scene.viscosity);
+        }
         let solvers = self.panels.iter().map(|panel| self.make(panel.offer)).collect::<Result<Vec<_>>>();
         let ready = solvers.and_then(|solvers| {
             (0..self.panels.len()).try_for_each(|k| self.catch_up(k))?;
@@ -155,6 +161,7 @@ impl Live {
             }
         };
         self.panels.iter_mut().zip(solvers).for_each(|(panel, solver)| panel.change(panel.offer, solver));
+        let to = to.map_or("of the scene".into(), |to| to.to_string());
         self.recorder.note(&format!("viscosity {to}"), Some("viscosity"));
         Ok(())
     }
@@ -452,10 +459,12 @@ mod tests {
         // What is thick surprises with long steps; thin as water it does not.
         let warning = |live: &Live| live.describe().panels[0].warning.clone();
         assert!(warning(&live).unwrap().contains("viscosity 0.1 acts once a step"));
-        live.obey(&Command::Viscosity { to: 0.01 }).unwrap();
+        live.obey(&Command::Viscosity { to: Some(0.01) }).unwrap();
         assert_eq!(warning(&live), None);
-        live.obey(&Command::Viscosity { to: 0.2 }).unwrap();
+        live.obey(&Command::Viscosity { to: Some(0.2) }).unwrap();
         assert!(warning(&live).unwrap().contains("viscosity 0.2"));
+        live.obey(&Command::Viscosity { to: None }).unwrap();
+        assert_eq!(live.viscosity(), Some(0.1), "that of the scene");
     }
 
     #[test]
@@ -464,7 +473,7 @@ mod tests {
         let mut live = live(&folder, "", "--solver dfsph");
         live.obey(&Command::Record { on: true }).unwrap();
         let gravity = |y| Command::Gravity { to: [0.0, y, 0.0] };
-        for command in [gravity(-1.0), Command::Viscosity { to: 0.1 }, gravity(-2.0), gravity(-3.0)] {
+        for command in [gravity(-1.0), Command::Viscosity { to: Some(0.1) }, gravity(-2.0), gravity(-3.0)] {
             live.obey(&command).unwrap();
         }
         live.advance(1).unwrap();

@@ -256,6 +256,39 @@ fn what_is_to_be_known_can_be_read() {
 }
 
 #[test]
+fn sliders_say_what_is_so() {
+    let Some(mut browser) = Browser::start() else { return };
+    let folder = Folder::new();
+    let fluid = |x: f64, viscosity: f64| {
+        let at = format!(r#""translation": [{x}, 0.3, 0], "viscosity": {viscosity}"#);
+        format!(r#"{{"shape": "box", "scale": 0.2, {at}}}"#)
+    };
+    let walls = r#"[{"shape": "container", "scale": [0.8, 0.8, 0.5]}]"#;
+    let fluids = [fluid(-0.15, 0.01), fluid(0.15, 0.1)].join(", ");
+    folder.write(
+        "scene.json",
+        format!(r#"{{"gravity": [0, -50, -9.81], "walls": {walls}, "fluids": [{fluids}]}}"#),
+    );
+    let view = View::start(&folder, "scene.json --solver dfsph --paused");
+    browser.open(&format!("{}?draw=off", view.page()), 1000, 700);
+    browser.until("document.getElementById('gravity-1-value').textContent === '−50.00 m/s²'");
+    assert_eq!(browser.text("gravity-2-value"), "−9.81 m/s²");
+    // Who listens hears the same.
+    let heard =
+        "['gravity-1', 'viscosity'].map((id) => document.getElementById(id).getAttribute('aria-valuetext'))";
+    assert_eq!(browser.value(heard), json!(["−50.00 m/s²", "several"]));
+    // One slip of a finger, and back.
+    browser.value(
+        "(() => { const s = document.getElementById('viscosity'); s.value = 0.5; \
+         s.dispatchEvent(new Event('input')); s.dispatchEvent(new Event('change')); })()",
+    );
+    browser.until("document.getElementById('viscosity-value').textContent === '0.125'");
+    browser.press("viscosity-reset");
+    browser.until("document.getElementById('viscosity-value').textContent === 'several'");
+    assert_eq!(browser.complaints, [""; 0]);
+}
+
+#[test]
 fn a_small_window_and_fingers() {
     let Some(mut browser) = Browser::start() else { return };
     let folder = Folder::new();
