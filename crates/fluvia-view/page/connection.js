@@ -48,12 +48,13 @@ export class Connection {
     this.sequence = message.sequence;
     this.received++;
     this.arrivals.push(performance.now());
+    this.rate();
     const particles = message.panels.reduce((sum, panel) => sum + panel.count, 0);
     if (particles > 0) this.bytesPerParticle = message.bytes / particles;
     this.on.frame(message);
   }
 
-  /** Frames a second. */
+  /** Frames a second; forgets what is older. */
   rate() {
     const since = performance.now() - 1000 * WINDOW;
     while (this.arrivals.length && this.arrivals[0] < since) this.arrivals.shift();

@@ -74,7 +74,7 @@ export class Emitters {
       const at = this.dragged?.index === k && this.dragged.to ? this.dragged.to : position;
       const { x, y, distance } = project(look, at);
       this.buttons[k].hidden = distance < 0 || Math.abs(x) > 1 || Math.abs(y) > 1;
-      const [left, top] = [(0.5 + 0.5 * x) * width - 15, (0.5 - 0.5 * y) * height - 15];
+      const [left, top] = [(0.5 + 0.5 * x) * width, (0.5 - 0.5 * y) * height];
       this.buttons[k].style.transform = `translate(${left.toFixed(1)}px, ${top.toFixed(1)}px)`;
     });
   }

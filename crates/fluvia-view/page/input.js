@@ -27,7 +27,8 @@ export class Input {
   down(event) {
     this.canvas.setPointerCapture(event.pointerId);
     this.pointers.set(event.pointerId, { x: event.clientX, y: event.clientY });
-    const isPan = event.button === 2 || event.button === 1 || event.shiftKey;
+    // With the control key it is the other button on some systems.
+    const isPan = event.button !== 0 || event.shiftKey || event.ctrlKey;
     this.press = { x: event.clientX, y: event.clientY, time: event.timeStamp, isTap: this.pointers.size === 1 && !isPan, isPan };
   }
 
