@@ -4,13 +4,16 @@
 //! - is inside the closed walls that hold fluid and outside those that are obstacles;
 //! - keeps a radius from wall particles and nearly a spacing from the fluid, so that nothing is pushed
 //!   apart in the first step.
+//!
+//! Emitters give where fluid may be already, as they do in a scene: a place for one is kept clear of walls and of other
+//! emitters, not of the fluid.
 
 use fluvia_neighbors::{Grid, Neighbors, Options, Radius};
 
 use crate::mesh::{TriangleMesh, cross, dot, scaled, sub};
 use crate::metrics::Bounds;
 use crate::particles::Boundary;
-use crate::scene::Setup;
+use crate::scene::{Setup, up};
 use crate::vector;
 
 /// The least distance between a new particle and a wall particle, in particle radii.
@@ -52,6 +55,8 @@ pub struct Room {
     walls: Boundary,
     particles: Points,
     bounds: Option<Bounds>,
+    /// Against the gravity of the scene: walls that are open are open there.
+    up: [f32; 3],
     surfaces: Vec<TriangleMesh>,
     /// Rows of the walls that have no surface.
     bare: Vec<usize>,
@@ -75,6 +80,7 @@ impl Room {
             radius: setup.particle_radius,
             particles: Points::new(&walls.position, WALL_CLEARANCE * setup.particle_radius),
             bounds: Bounds::of(&walls.position),
+            up: up(setup.gravity),
             walls,
             holds: surfaces.iter().map(holds).collect(),
             surfaces,
@@ -133,8 +139,7 @@ impl Room {
         lift: f32,
         fluids: &[&[[f32; 3]]],
     ) -> Option<[f32; 3]> {
-        let clearance = FLUID_CLEARANCE * self.radius;
-        let mut occupied: Vec<Points> = fluids.iter().map(|fluid| Points::new(fluid, clearance)).collect();
+        let mut occupied = self.around(fluids);
         let away = hit.normal.unwrap_or(up);
         let reach = body.iter().map(|&x| -vector::dot(x, away)).fold(0.0, f32::max);
         let touching = vector::add_scaled(hit.point, reach + 2.0 * self.radius, away);
@@ -155,16 +160,27 @@ impl Room {
         })
     }
 
-    /// Whether new particles could be there as far as walls go.
-    pub fn allows(&mut self, positions: &[[f32; 3]]) -> bool {
-        self.is_clear(positions) && self.holds(positions)
+    /// Whether an emitter could give particles there, as far as walls and the positions of other emitters go.
+    pub fn allows(&mut self, positions: &[[f32; 3]], others: &[&[[f32; 3]]]) -> bool {
+        self.is_clear(positions)
+            && self.around(others).iter_mut().all(|other| !other.touch(positions))
+            && self.holds(positions)
+    }
+
+    /// What new particles are to be kept clear of, for they would be pushed apart.
+    fn around(&self, fluids: &[&[[f32; 3]]]) -> Vec<Points> {
+        fluids.iter().map(|fluid| Points::new(fluid, FLUID_CLEARANCE * self.radius)).collect()
     }
 
     /// Whether all are within the bounds of the walls and clear of their particles.
     fn is_clear(&mut self, positions: &[[f32; 3]]) -> bool {
-        let Some(Bounds { low, high }) = self.bounds else { return true };
+        let Some(mut bounds) = self.bounds else { return true };
         // Above walls that are open there is space too, as high again as they are.
-        let bounds = Bounds { low, high: [high[0], 2.0 * high[1] - low[1], high[2]] };
+        for (a, up) in self.up.into_iter().enumerate() {
+            let more = up * (bounds.high[a] - bounds.low[a]);
+            bounds.low[a] += more.min(0.0);
+            bounds.high[a] += more.max(0.0);
+        }
         positions.iter().all(|x| bounds.contains(*x, 0.0)) && !self.particles.touch(positions)
     }
 
@@ -320,17 +336,28 @@ mod tests {
     #[test]
     fn outside_and_in_obstacles_there_is_no_room() {
         let (mut room, setup) = room();
-        assert!(room.allows(&setup.emitters[0].position));
+        let emitted = setup.emitters[0].position.as_slice();
+        assert!(room.allows(emitted, &[]));
+        // Where another emitter is there is none for a second.
+        assert!(!room.allows(emitted, &[emitted]) && room.allows(emitted, &[&[[-0.3, 0.2, -0.3]]]));
         for x in [[0.0, 0.5, 0.0], [0.0, 1.5, 0.0], [0.6, 0.5, 0.0], [0.0, -0.1, 0.0], [0.49, 0.1, 0.1]] {
-            assert!(!room.allows(&[x]), "{x:?}");
+            assert!(!room.allows(&[x], &[]), "{x:?}");
         }
-        // An open basin has room above it.
-        const BASIN: &str = r#"{"walls": [{"shape": "basin"}], "fluids": [{"shape": "box", "scale": 0.2}]}"#;
-        let basin = Scene::parse(BASIN.as_bytes(), "basin.json").unwrap().sample(0).unwrap();
-        let mut room = Room::new(&basin);
-        assert!(room.allows(&[[0.0, 1.5, 0.0]]) && !room.allows(&[[0.0, 2.5, 0.0]]));
+        // An open basin has room above it, whatever is up.
+        let basin = |keys: &str| {
+            let text = format!(
+                r#"{{"walls": [{{"shape": "basin"{keys}, "fluids": [{{"shape": "box", "scale": 0.2}}]}}"#
+            );
+            Scene::parse(text.as_bytes(), "basin.json").unwrap().sample(0).unwrap()
+        };
+        let upright = basin("}]");
+        let mut room = Room::new(&upright);
+        assert!(room.allows(&[[0.0, 1.5, 0.0]], &[]) && !room.allows(&[[0.0, 2.5, 0.0]], &[]));
+        let turned = r#", "rotation": {"axis": [1, 0, 0], "angle": 90}}], "gravity": [0, 0, -9.81]"#;
+        let mut room = Room::new(&basin(turned));
+        assert!(room.allows(&[[0.0, 0.0, 1.5]], &[]) && !room.allows(&[[0.0, 1.5, 0.5]], &[]));
         // Without walls there is room everywhere.
-        let nothing = Setup { boundary: Boundary::default(), walls: Vec::new(), ..basin };
-        assert!(Room::new(&nothing).allows(&[[9.0; 3]]));
+        let nothing = Setup { boundary: Boundary::default(), walls: Vec::new(), ..upright };
+        assert!(Room::new(&nothing).allows(&[[9.0; 3]], &[]));
     }
 }

@@ -73,7 +73,11 @@ impl Live {
         let middle = middle(emitter);
         let by = [0, 1, 2].map(|a| to[a] - middle[a]);
         let moved: Vec<_> = emitter.position.iter().map(|x| [0, 1, 2].map(|a| x[a] + by[a])).collect();
-        if !moved.iter().flatten().all(|x| x.is_finite()) || !self.room.allows(&moved) {
+        let others: Vec<&[[f32; 3]]> = movable
+            .filter(|(other, _)| *other != index)
+            .map(|(_, other)| other.position.as_slice())
+            .collect();
+        if !moved.iter().flatten().all(|x| x.is_finite()) || !self.room.allows(&moved, &others) {
             bail!("no room there for the emitter");
         }
         self.panels.iter_mut().try_for_each(|panel| panel.rollout.move_emitter(index, by))?;
