@@ -1,5 +1,7 @@
 //! Bodies of fluid that are dropped into a scene that runs, and emitters that are moved.
 
+use std::f64::consts::PI;
+
 use anyhow::{Context, Result, anyhow, bail};
 use fluvia_sim::metrics::Bounds;
 use fluvia_sim::pour::Ray;
@@ -49,15 +51,17 @@ impl Live {
             Form::Cube => ("cube", Shape::Box),
             Form::Ball => ("ball", Shape::Sphere),
         };
+        let fluids: Vec<&[[f32; 3]]> = self.panels.iter().map(Panel::position).collect();
+        let most = fluids.iter().map(|fluid| fluid.len()).max().unwrap_or(0);
+        // Before they are made: a body may be of millions.
+        if most as f64 + particles_in(body, self.setup.particle_radius) > MOST_PARTICLES as f64 {
+            bail!("{MOST_PARTICLES} particles are the most that are poured");
+        }
         let mesh = shape.mesh().map(|x| x.map(|x| x * decimal(body.size)));
         let particles =
             sample_volume(&mesh, self.setup.particle_radius).map_err(|fault| anyhow!("{name}: {fault}"))?;
-        if self.panel(panel)?.position().len() + particles.len() > MOST_PARTICLES {
-            bail!("{MOST_PARTICLES} particles are the most that are poured");
-        }
         let hit =
-            self.room.hit(ray, self.panels[panel].position()).context("there is nothing to drop it on")?;
-        let fluids: Vec<&[[f32; 3]]> = self.panels.iter().map(Panel::position).collect();
+            self.room.hit(ray, self.panel(panel)?.position()).context("there is nothing to drop it on")?;
         let place = self.room.place(&particles, hit, up(self.setup.gravity), FALL, &fluids);
         let Some(place) = place else { bail!("no room there for a {name} of {:.2} m", body.size) };
         let particles: Vec<_> = particles.iter().map(|x| [0, 1, 2].map(|a| x[a] + place[a])).collect();
@@ -88,6 +92,15 @@ impl Live {
     }
 }
 
+/// How many particles a body is of, about.
+fn particles_in(body: Body, radius: f32) -> f64 {
+    let filled = match body.form {
+        Form::Cube => 1.0,
+        Form::Ball => PI / 6.0,
+    };
+    filled * (decimal(body.size) / (2.0 * decimal(radius))).powi(3)
+}
+
 /// Whether an emitter gives more than once.
 pub fn is_movable(emitter: &Emitter) -> bool {
     !emitter.position.is_empty() && emitter.stop > emitter.start.saturating_add(emitter.step)
@@ -97,4 +110,21 @@ pub fn is_movable(emitter: &Emitter) -> bool {
 pub fn middle(emitter: &Emitter) -> [f32; 3] {
     let bounds = Bounds::of(&emitter.position);
     bounds.map_or([0.0; 3], |Bounds { low, high }| [0, 1, 2].map(|a| 0.5 * (low[a] + high[a])))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn how_many_there_are_is_known_before_they_are_made() {
+        for (form, shape) in [(Form::Cube, Shape::Box), (Form::Ball, Shape::Sphere)] {
+            let mesh = shape.mesh().map(|x| x.map(|x| x * 0.6));
+            let made = sample_volume(&mesh, 0.02).unwrap().len() as f64;
+            let found = particles_in(Body { form, size: 0.6 }, 0.02);
+            // A layer more or less of fifteen.
+            assert!((found / made - 1.0).abs() < 0.15, "{form:?}: {found} and {made}");
+        }
+        assert!(particles_in(Body { form: Form::Cube, size: 2.0 }, 0.005) > MOST_PARTICLES as f64);
+    }
 }
