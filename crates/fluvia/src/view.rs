@@ -12,7 +12,7 @@ mod recorder;
 mod stage;
 mod surfaces;
 
-use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, Stdio};
 use std::sync::Arc;
@@ -53,10 +53,11 @@ Examples:
   fluvia view out/dam_break
   fluvia view data/valid/sim_0206
 
-The page is at http://127.0.0.1:8642/ until Ctrl-C; what it shows begins when somebody looks. All that look at it see
-the same and steer the same: on a machine that others use, they can too. A name of a shipped scene (dam_break,
-two_bodies, emitter_step, obstacle_course, river, waterfall, three_viscosities, hundred_thousand) is that scene;
-./dam_break is a directory. From another machine: ssh -L 8642:127.0.0.1:8642 HOST, then the same address.")]
+The page is at http://127.0.0.1:8642/ until Ctrl-C; what it shows begins when somebody looks, and goes on when nobody
+does any more. All that look at it see the same and steer the same: on a machine that others use, they can too. A name
+of a shipped scene (dam_break, two_bodies, emitter_step, obstacle_course, river, waterfall, hundred_thousand;
+three_viscosities with --weights viscosity or --solver dfsph) is that scene; ./dam_break is a directory. From another
+machine: ssh -L 8642:127.0.0.1:8642 HOST, then the same address.")]
 pub struct Args {
     /// A scene to run: a file (JSON) or the name of a shipped scene; or frames to show: the directory of a run, or a
     /// sequence of a data set (its folder, a part file, or the common prefix of its parts). dam_break if not given.
@@ -133,10 +134,21 @@ fn serve<S: Show + Send + 'static>(
     let (server, commands) = Server::start(SocketAddr::new(args.bind, args.port))?;
     let server = Arc::new(server);
     let interrupted = interrupt::watch()?;
-    let address = format!("http://{}/", server.address());
-    if !args.bind.is_loopback() {
-        report.warning(format_args!("everybody who can reach {} can watch and steer", server.address()));
+    let mut bound = server.address();
+    if bound.ip().is_unspecified() {
+        report.warning(format_args!(
+            "everybody who can reach this machine can watch and steer, at port {} of any of its addresses",
+            bound.port()
+        ));
+        // Nobody can go to the address that means all of them.
+        bound.set_ip(match bound.ip() {
+            IpAddr::V4(_) => Ipv4Addr::LOCALHOST.into(),
+            IpAddr::V6(_) => Ipv6Addr::LOCALHOST.into(),
+        });
+    } else if !bound.ip().is_loopback() {
+        report.warning(format_args!("everybody who can reach {bound} can watch and steer"));
     }
+    let address = format!("http://{bound}/");
     report.result(&address)?;
     report.note("Ctrl-C ends it");
     if args.open {

@@ -155,6 +155,19 @@ fn a_broken_message_closes_its_connection_alone() {
     assert_eq!(good.state["playing"], true, "what is refused stops nothing");
 }
 
+/// The address of all addresses is none to go to.
+#[test]
+#[cfg(unix)]
+fn who_listens_everywhere_is_told_where_the_page_is() {
+    let folder = Folder::new();
+    folder.write("scene.json", SCENE);
+    let view = View::start(&folder, "scene.json --solver pbf --bind 0.0.0.0");
+    assert!(view.address.starts_with("127.0.0.1:"), "{}", view.address);
+    assert!(view.get("/").starts_with("HTTP/1.1 200"));
+    let (_, said) = view.interrupt();
+    assert!(said.contains("everybody who can reach this machine"), "{said}");
+}
+
 /// More connections than are let in at a time say nothing, or half of something.
 #[test]
 fn who_asks_for_nothing_is_let_go() {
