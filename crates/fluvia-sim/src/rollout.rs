@@ -169,16 +169,6 @@ impl Rollout {
         &self.state
     }
 
-    /// The bodies of the scene, where they are emitted now.
-    pub fn emitters(&self) -> &[Emitter] {
-        &self.emitters
-    }
-
-    /// External acceleration, metres per second squared.
-    pub fn gravity(&self) -> [f32; 3] {
-        self.gravity
-    }
-
     /// Changes the external acceleration of the steps to come, metres per second squared.
     ///
     /// # Errors

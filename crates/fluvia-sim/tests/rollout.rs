@@ -292,7 +292,6 @@ fn gravity_and_emitters_change_from_the_next_step_on() {
     assert_eq!((particles.velocity[0], particles.velocity[16]), ([DT, -0.5, 0.0], [0.0, -0.5, 0.0]));
     let [x, y, z] = setup.emitters[0].position[0];
     assert_eq!(particles.position[16], [x + 0.1, y, z - 0.1]);
-    assert_eq!(rollout.emitters()[0].position[0], particles.position[16]);
     for wrong in [
         rollout.set_gravity([0.0, f32::NAN, 0.0]),
         rollout.move_emitter(1, [0.0; 3]),
@@ -300,8 +299,8 @@ fn gravity_and_emitters_change_from_the_next_step_on() {
     ] {
         assert!(matches!(wrong, Err(Error::Parameter(_))), "{wrong:?}");
     }
-    assert_eq!(
-        (rollout.gravity(), rollout.emitters()[0].position[0]),
-        ([1.0, 0.0, 0.0], [x + 0.1, y, z - 0.1])
-    );
+    // What was wrong changed nothing.
+    rollout.advance(&mut solver).unwrap();
+    let particles = &rollout.state().particles;
+    assert_eq!((particles.velocity[0][0], particles.position[32]), (2.0 * DT, [x + 0.1, y, z - 0.1]));
 }
