@@ -9,6 +9,9 @@ void main() {
   gl_Position = vec4(corner, 0.0, 1.0);
 }`;
 
+/** Where the light comes from, in the axes of the picture. */
+export const KEY = "const vec3 KEY = normalize(vec3(-0.45, 0.75, 0.6));";
+
 function compile(gl, type, source) {
   const shader = gl.createShader(type);
   gl.shaderSource(shader, source);

@@ -1,5 +1,6 @@
 // One picture: particles or surface, walls, smooth edges; one panel, or two side by side.
 
+import { dot } from "./camera.js";
 import { COLORINGS, cssColor, isDark, scaleOf } from "./colors.js";
 import { createPass, runPass, Target } from "./gl.js";
 import { Cloud, colorTables, Spheres } from "./spheres.js";
@@ -146,8 +147,7 @@ export class Renderer {
     const areas = this.areas(panels);
     const [, , across, upwards] = areas[0];
     const look = view.camera.look((width * across) / (height * upwards), canvas.clientHeight * upwards);
-    const dotUp = (x) => x.reduce((sum, value, a) => sum + value * view.up[a], 0);
-    const ends = [this.low ?? [0, 0, 0], this.high ?? [1, 1, 1]].map(dotUp);
+    const ends = [this.low ?? [0, 0, 0], this.high ?? [1, 1, 1]].map((x) => dot(x, view.up));
     // Densities come a frame after they were asked for: no colours until then, rather than wrong ones.
     const shown = view.coloring === "density" && !this.hasDensities ? "plain" : view.coloring;
     const style = {

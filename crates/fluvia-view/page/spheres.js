@@ -1,7 +1,8 @@
 // Particles as spheres: a square each, on which every pixel finds its point of the sphere and its depth.
 
+import { dot } from "./camera.js";
 import { BODIES, ramp, STEPS, WATER } from "./colors.js";
-import { createPass, createProgram, runPass } from "./gl.js";
+import { createPass, createProgram, KEY, runPass } from "./gl.js";
 
 /** Where a particle is and what colour it has; shared with the liquid surface. */
 export const VERTEX = `#version 300 es
@@ -41,7 +42,7 @@ uniform float radius;
 uniform mat4 projection;
 uniform vec3 upInView, sky, ground;
 out vec4 shaded;
-const vec3 KEY = normalize(vec3(-0.45, 0.75, 0.6));
+${KEY}
 void main() {
   float squared = dot(corner, corner);
   if (squared > 1.0) discard;
@@ -189,7 +190,7 @@ export class Spheres {
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     gl.useProgram(this.program.program);
     const { uniforms } = this.program;
-    gl.uniform3fv(uniforms.upInView, [look.right, look.above, look.back].map((axis) => axis.reduce((sum, x, a) => sum + x * style.up[a], 0)));
+    gl.uniform3fv(uniforms.upInView, [look.right, look.above, look.back].map((axis) => dot(axis, style.up)));
     gl.uniform3fv(uniforms.sky, theme.sky);
     gl.uniform3fv(uniforms.ground, theme.ground);
     cloud.draw(this.program, look, style, tables);

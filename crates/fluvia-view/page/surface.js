@@ -2,7 +2,8 @@
 // and light that is reflected, bent and absorbed there (van der Laan, Green & Sainz 2009, with the filter of Truong &
 // Yuksel 2018).
 
-import { createPass, createProgram, runPass, Target } from "./gl.js";
+import { dot } from "./camera.js";
+import { createPass, createProgram, KEY, runPass, Target } from "./gl.js";
 import { ATTRIBUTES, VERTEX } from "./spheres.js";
 
 /** Particles are drawn so much larger than they are, so that those of a calm liquid overlap. */
@@ -94,7 +95,7 @@ uniform vec4 area;
 uniform vec2 pixel, nearFar, slope;
 uniform vec3 upInView, skyTop, skyBottom, gleamColor;
 out vec4 shaded;
-const vec3 KEY = normalize(vec3(-0.45, 0.75, 0.6));
+${KEY}
 float distanceAt(vec2 at) { return texture(distances, clamp(at, area.xy, area.xy + area.zw)).r; }
 vec3 pointAt(vec2 at, float away) {
   vec2 inside = 2.0 * (at - area.xy) / area.zw - 1.0;
@@ -237,7 +238,7 @@ export class Surface {
       gl.uniform2fv(set.pixel, pixel);
       gl.uniform2f(set.nearFar, look.near, look.far);
       gl.uniform2f(set.slope, look.aspect / look.f, 1 / look.f);
-      gl.uniform3fv(set.upInView, [look.right, look.above, look.back].map((axis) => axis.reduce((sum, x, a) => sum + x * style.up[a], 0)));
+      gl.uniform3fv(set.upInView, [look.right, look.above, look.back].map((axis) => dot(axis, style.up)));
       gl.uniform3fv(set.skyTop, theme.skyTop);
       gl.uniform3fv(set.skyBottom, theme.skyBottom);
       gl.uniform3fv(set.gleamColor, theme.gleam);

@@ -1,6 +1,6 @@
 // Walls: the sides that look at the eye, translucent, with their edges; or points where only points are known.
 
-import { createProgram } from "./gl.js";
+import { createProgram, KEY } from "./gl.js";
 
 const VERTEX = `#version 300 es
 precision highp float;
@@ -31,6 +31,7 @@ uniform float opacity;
 uniform bool overLiquid;
 uniform sampler2D distances;
 out vec4 shaded;
+${KEY}
 void main() {
   if (overLiquid && texelFetch(distances, ivec2(gl_FragCoord.xy), 0).r == 0.0) discard;
   float alpha = opacity;
@@ -41,7 +42,7 @@ void main() {
   } else if (kind == 0) {
     vec3 normal = normalize(direction);
     float facing = abs(dot(normal, normalize(point)));
-    float light = 0.5 + 0.5 * dot(normal, normalize(vec3(-0.45, 0.75, 0.6)));
+    float light = 0.5 + 0.5 * dot(normal, KEY);
     lit = color * mix(0.72, 1.0, light);
     alpha = opacity * mix(1.0 + 0.9 * pow(1.0 - facing, 2.0), 3.6 + 2.0 * (1.0 - facing), solid);
   }

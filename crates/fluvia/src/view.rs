@@ -4,6 +4,7 @@
 //! Live | Playback -> Stage (a thread: when is the next frame due, what was asked for) <-> fluvia_view::Server
 //! ```
 
+mod densities;
 mod live;
 mod menu;
 mod panel;

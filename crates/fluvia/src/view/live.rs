@@ -11,8 +11,6 @@ use std::sync::Arc;
 use anyhow::{Context, Result, bail};
 use cconv::Kernel;
 use fluvia_sim::dfsph::Liquid;
-use fluvia_sim::kernel::{CubicSpline, SUPPORT_IN_RADII, wall_volumes};
-use fluvia_sim::metrics::density_ratios_within;
 use fluvia_sim::pour::{Ray, Room};
 use fluvia_sim::rollout::{Rollout, Solver};
 use fluvia_sim::scene::{DEFAULT_DT, Emitter, Material, Setup, up};
@@ -20,6 +18,7 @@ use fluvia_view::walls::Walls;
 use fluvia_view::{Command, Frame, Mode, PanelState, Range, Recording, State};
 
 use super::Args;
+use super::densities::WallVolumes;
 use super::menu::Menu;
 use super::panel::Panel;
 use super::recorder::{Recorder, Subject};
@@ -44,8 +43,7 @@ pub struct Live {
     /// The scene as it was changed; its last fluid is what was poured.
     setup: Setup,
     room: Room,
-    /// What each wall particle counts in a density, cubic metres; computed when densities are first wanted.
-    volumes: Option<Vec<f32>>,
+    volumes: WallVolumes,
     menu: Menu,
     panels: Vec<Panel>,
     recorder: Arc<Recorder>,
@@ -88,7 +86,7 @@ impl Live {
             materials: setup.emitters.iter().map(|emitter| emitter.material).collect(),
             setup,
             room,
-            volumes: None,
+            volumes: WallVolumes::default(),
             menu,
             panels,
             recorder,
@@ -230,11 +228,8 @@ impl Live {
 
     fn find_densities(&mut self) {
         let (walls, radius) = (self.setup.boundary.position.as_slice(), self.setup.particle_radius);
-        let volumes = self
-            .volumes
-            .get_or_insert_with(|| wall_volumes(walls, &CubicSpline::new(SUPPORT_IN_RADII * radius)));
         for panel in self.panels.iter_mut().filter(|panel| panel.density.len() != panel.position().len()) {
-            panel.density = density_ratios_within(panel.position(), (walls, volumes), radius);
+            panel.density = self.volumes.ratios(panel.position(), walls, radius);
         }
     }
 

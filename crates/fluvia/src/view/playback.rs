@@ -4,12 +4,11 @@ use std::path::Path;
 
 use anyhow::{Context, Result, bail};
 use fluvia_sim::frames::ParticleData;
-use fluvia_sim::kernel::{CubicSpline, SUPPORT_IN_RADII, wall_volumes};
-use fluvia_sim::metrics::density_ratios_within;
 use fluvia_sim::scene::up;
 use fluvia_view::walls::Walls;
 use fluvia_view::{Command, Frame, Mode, Panel, PanelState, State};
 
+use super::densities::WallVolumes;
 use super::stage::{Show, blank};
 use super::surfaces;
 use crate::frame_source::FrameSource;
@@ -20,8 +19,7 @@ pub struct Playback {
     label: String,
     source: FrameSource,
     walls: Walls,
-    /// What each wall particle counts in a density, cubic metres; computed when densities are first wanted.
-    volumes: Option<Vec<f32>>,
+    volumes: WallVolumes,
     index: usize,
     particles: ParticleData,
     density: Vec<f32>,
@@ -48,7 +46,7 @@ impl Playback {
             title: path.file_name().map_or(path.as_os_str(), |name| name).display().to_string(),
             label,
             walls,
-            volumes: None,
+            volumes: WallVolumes::default(),
             index: 0,
             density: Vec::new(),
             has_speeds: particles.velocity.is_some(),
@@ -77,12 +75,8 @@ impl Playback {
     }
 
     fn find_density(&mut self) {
-        let walls = self.source.walls().position.as_slice();
-        let radius = self.source.particle_radius;
-        let volumes = self
-            .volumes
-            .get_or_insert_with(|| wall_volumes(walls, &CubicSpline::new(SUPPORT_IN_RADII * radius)));
-        self.density = density_ratios_within(&self.particles.position, (walls, volumes), radius);
+        let (walls, radius) = (self.source.walls().position.as_slice(), self.source.particle_radius);
+        self.density = self.volumes.ratios(&self.particles.position, walls, radius);
     }
 }
 

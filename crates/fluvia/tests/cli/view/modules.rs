@@ -65,6 +65,14 @@ fn its_modules_compute_what_they_say() {
          return [[5, 100], [1, 100], [20, 100], [80, 17], [200, 17], [6, 100], [100, 17], [100, 17]].map(after); })()",
     );
     assert_eq!(finenesses, json!([1, 0.75, 0.5, 0.5, 1, 0.75, 0.75, 1]));
+    // The colours are those of the pictures of `fluvia render`.
+    let colors = browser.value(
+        "(async () => { const { BODIES, scaleOf } = await import('./colors.js'); \
+         const bytes = (color) => color.map((x) => Math.round(255 * x)); \
+         return { bodies: BODIES.map(bytes), speed: scaleOf('speed').high }; })()",
+    );
+    assert_eq!(colors["bodies"], json!(fluvia_render::BODY_COLORS));
+    assert_eq!(colors["speed"].as_f64(), Some(fluvia_render::Style::default().scale.high.into()));
     // The scale is lighter at every step, by as much.
     let steps = browser.value(
         "(async () => { const { ramp } = await import('./colors.js'); \
