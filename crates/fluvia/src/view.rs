@@ -162,7 +162,7 @@ fn serve<S: Show + Send + 'static>(
         std::thread::sleep(LOOK);
     }
     // A step may take seconds, and nobody wants its result: the process ends below it. What is being written is waited for.
-    for (directory, frames) in recorder.finish()? {
+    for (directory, frames) in recorder.close()? {
         report.note(format_args!("{}: {}", directory.display(), counted(frames, "frame")));
     }
     if !interrupted.load(Ordering::Relaxed) {

@@ -6,7 +6,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use cconv::Kernel;
 use fluvia_sim::frames::{Format, Mode, RunDirectory};
 use fluvia_sim::rollout::Rollout;
@@ -26,7 +26,15 @@ const MOST_RECORDINGS: u32 = 9999;
 pub struct Recorder {
     folder: PathBuf,
     formats: Vec<Format>,
-    running: Mutex<Option<Recording>>,
+    desk: Mutex<Desk>,
+}
+
+/// What those that write and end recordings take turns at.
+#[derive(Default)]
+struct Desk {
+    running: Option<Recording>,
+    /// Whether the program ends: none begins any more, for nobody would end it.
+    is_closed: bool,
 }
 
 /// What is recorded, and from what.
@@ -58,26 +66,29 @@ impl Recorder {
             formats.push(Format::Npz);
         }
         let folder = folder.unwrap_or(Path::new(DIRECTORY)).to_path_buf();
-        Recorder { folder, formats, running: Mutex::default() }
+        Recorder { folder, formats, desk: Mutex::default() }
     }
 
-    fn lock(&self) -> MutexGuard<'_, Option<Recording>> {
+    fn lock(&self) -> MutexGuard<'_, Desk> {
         // What is on disk is whole, whoever has failed.
-        self.running.lock().unwrap_or_else(PoisonError::into_inner)
+        self.desk.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// The directories of the recording that runs.
     pub fn directories(&self) -> Option<Vec<String>> {
         let name = |run: &Run| run.directory.path().display().to_string();
-        self.lock().as_ref().map(|recording| recording.0.iter().map(name).collect())
+        self.lock().running.as_ref().map(|recording| recording.0.iter().map(name).collect())
     }
 
     /// Begins a recording with what the panels are now, a directory each.
     ///
     /// # Errors
-    /// If a directory cannot be made or written to.
+    /// If a directory cannot be made or written to, or the program ends.
     pub fn start(&self, subject: &Subject<'_>, panels: &[(&Panel, &Offer)]) -> Result<()> {
-        let mut running = self.lock();
+        let mut desk = self.lock();
+        if desk.is_closed {
+            bail!("the program ends");
+        }
         let number = self.free_number(subject.title)?;
         let mut runs = Vec::new();
         for (panel, offer) in panels {
@@ -95,7 +106,7 @@ impl Recorder {
         }
         let mut recording = Recording(runs);
         recording.write(panels.iter().map(|(panel, _)| *panel))?;
-        *running = Some(recording);
+        desk.running = Some(recording);
         Ok(())
     }
 
@@ -144,11 +155,11 @@ impl Recorder {
     /// # Errors
     /// If it cannot be written: the recording has ended then, with the frames before.
     pub fn write<'a>(&self, panels: impl Iterator<Item = &'a Panel>) -> Result<()> {
-        let mut running = self.lock();
-        let Some(recording) = running.as_mut() else { return Ok(()) };
+        let mut desk = self.lock();
+        let Some(recording) = desk.running.as_mut() else { return Ok(()) };
         let written = recording.write(panels);
         if written.is_err() {
-            let ended = running.take();
+            let ended = desk.running.take();
             // The first error is the one to report.
             let _ = ended.map(Recording::finish);
         }
@@ -158,7 +169,7 @@ impl Recorder {
     /// Notes something that was changed. Of changes to one thing, whose texts all begin with it, the last before a frame
     /// counts, as where a slider is drawn.
     pub fn note(&self, what: &str, thing: Option<&str>) {
-        for run in self.lock().iter_mut().flat_map(|recording| &mut recording.0) {
+        for run in self.lock().running.iter_mut().flat_map(|recording| &mut recording.0) {
             let frame = run.record.steps;
             if let Some(live) = &mut run.record.live {
                 let stays = |change: &Change| {
@@ -175,8 +186,17 @@ impl Recorder {
     /// # Errors
     /// If the record of a run cannot be written; the frames are there.
     pub fn finish(&self) -> Result<Vec<(PathBuf, usize)>> {
-        let ended = self.lock().take();
+        let ended = self.lock().running.take();
         ended.map_or(Ok(Vec::new()), Recording::finish)
+    }
+
+    /// The same for good.
+    ///
+    /// # Errors
+    /// As [`Recorder::finish`].
+    pub fn close(&self) -> Result<Vec<(PathBuf, usize)>> {
+        self.lock().is_closed = true;
+        self.finish()
     }
 }
 

@@ -8,7 +8,7 @@ use serde_json::json;
 use tungstenite::Message;
 
 use super::client::View;
-use crate::common::{Folder, SCENE, fixture, sequence};
+use crate::common::{Folder, SCENE, fixture, scene_with, sequence};
 
 fn small() -> (Folder, View) {
     let folder = Folder::new();
@@ -180,13 +180,13 @@ fn who_asks_for_nothing_is_let_go() {
         })
         .collect();
     asking[0].write_all(b"GET /socket HTTP/1.1\r\nHost: ").unwrap();
+    // Who has something to ask waits for a place, and gets it.
+    assert!(view.get("/").starts_with("HTTP/1.1 200"));
     match std::fs::read_dir(format!("/proc/{}/fd", view.process())) {
         // Those that are let in, and some files of the program's own.
         Ok(files) => assert!(files.count() < 190, "a file for each connection"),
         Err(_) => println!("skipped: this system does not say which files a process has open"),
     }
-    // Who has something to ask waits for a place, and gets it.
-    assert!(view.get("/").starts_with("HTTP/1.1 200"));
     view.connect().frame();
     for stream in &mut asking {
         assert!(stream.read_to_end(&mut Vec::new()).is_ok(), "still open");
@@ -226,7 +226,6 @@ fn what_cannot_be_shown_is_one_line() {
         let name = option.split(' ').next().unwrap();
         folder.fail(&format!("view {frames} {option}"), &[name, "expected a scene"]);
     }
-    let other = "dt";
-    folder.write("other.json", SCENE.replacen('{', &format!("{{ \"{other}\": 0.01,"), 1));
+    folder.write("other.json", scene_with(r#""dt": 0.01"#));
     folder.fail(&format!("view other.json --weights {}", fixture("plain.pt")), &["other.json", "`dt`"]);
 }
