@@ -13,8 +13,11 @@ use anyhow::{Context, Result, bail};
 use fluvia_render::Image;
 use fluvia_sim::frames::Replacement;
 
-/// Quality of x264: 18 looks the same as the pictures.
-const QUALITY: &str = "18";
+/// Quality of x264: 17 looks the same as the pictures.
+const QUALITY: &str = "17";
+
+/// How thoroughly x264 looks for what repeats: this takes two thirds of the time of its default for a twelfth more bytes.
+const PRESET: &str = "faster";
 
 /// How long ffmpeg is left alone at its end before Ctrl-C is looked for.
 const POLL: Duration = Duration::from_millis(10);
@@ -63,7 +66,8 @@ impl Mp4 {
         // What every player takes; bt709 is what they take the colours of films of this size for.
         command.args(["-vf", "scale=out_color_matrix=bt709:out_range=tv", "-pix_fmt", "yuv420p"]);
         command.args(["-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "iec61966-2-1"]);
-        command.args(["-c:v", "libx264", "-crf", QUALITY, "-movflags", "+faststart", "-f", "mp4"]);
+        command.args(["-c:v", "libx264", "-preset", PRESET, "-crf", QUALITY]);
+        command.args(["-movflags", "+faststart", "-f", "mp4"]);
         command.arg(file.temporary());
         command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::piped());
         // Ctrl-C is for this program, which stops ffmpeg itself.
