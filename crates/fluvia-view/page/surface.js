@@ -17,6 +17,10 @@ const REACH = 5;
 const MOST_PIXELS = 40;
 const ROUNDS = 3;
 
+/** Gaps between particles up to so wide, in particle radii to each side, and in pixels, are closed before. */
+const GAP = 0.8;
+const MOST_GAP = 12;
+
 const DEPTH = `#version 300 es
 precision highp float;
 precision highp sampler2D;
@@ -58,11 +62,22 @@ in vec2 uv;
 uniform sampler2D distances;
 uniform vec4 area;
 uniform vec2 direction;
-uniform float reach, radius, most;
+uniform float reach, radius, most, gap;
 out float smoothed;
 void main() {
   float here = texture(distances, uv).r;
   if (here == 0.0) { smoothed = 0.0; return; }
+  vec2 low = area.xy;
+  vec2 high = area.xy + area.zw;
+  // A calm liquid is closed: what is seen far below it between two particles would stay a hole.
+  int width = int(min(gap / here, ${MOST_GAP}.0));
+  for (int k = 1; k <= ${MOST_GAP}; k++) {
+    if (k > width) break;
+    vec2 offset = float(k) * direction;
+    float first = texture(distances, clamp(uv + offset, low, high)).r;
+    float second = texture(distances, clamp(uv - offset, low, high)).r;
+    if (first != 0.0 && second != 0.0) here = min(here, max(first, second));
+  }
   float pixels = clamp(reach / here, 1.0, most);
   int steps = int(ceil(pixels));
   float sigma = 0.5 * pixels;
@@ -70,8 +85,6 @@ void main() {
   float above = here + 2.5 * radius;
   float sum = here;
   float weights = 1.0;
-  vec2 low = area.xy;
-  vec2 high = area.xy + area.zw;
   for (int k = 1; k <= ${MOST_PIXELS}; k++) {
     if (k > steps) break;
     float weight = exp(-0.5 * float(k * k) / (sigma * sigma));
@@ -216,13 +229,16 @@ export class Surface {
     const pixel = [1 / first.width, 1 / first.height];
     for (let round = 0; round < ROUNDS; round++) {
       // Wide first, then what the pairs of directions have left.
-      const reach = (REACH * style.radius * 0.5 * look.f * first.height * area[3]) / 2 ** round;
+      const scale = style.radius * 0.5 * look.f * first.height * area[3];
+      const reach = (REACH * scale) / 2 ** round;
+      const gap = round === 0 ? GAP * scale : 0;
       [[other, distances, [pixel[0], 0]], [distances, other, [0, pixel[1]]]].forEach(([to, from, direction]) => {
         to.bind();
         to.limit(area);
         runPass(gl, this.smooth, area, { distances: from.color }, (set) => {
           gl.uniform2fv(set.direction, direction);
           gl.uniform1f(set.reach, reach);
+          gl.uniform1f(set.gap, gap);
           gl.uniform1f(set.radius, style.radius);
           gl.uniform1f(set.most, MOST_PIXELS / 2 ** round);
         });
