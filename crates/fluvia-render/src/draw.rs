@@ -12,7 +12,8 @@
 use rayon::prelude::*;
 
 use crate::camera::Camera;
-use crate::color::{NO_VALUE, OUTSIDE, Ramp, Rgb, Scale, body_color, linear};
+use crate::color::{NO_VALUE, OUTSIDE, Ramp, Scale, linear};
+use crate::frame::{Frame, Surface, Values};
 use crate::image::Image;
 use crate::layers::{self, Shapes};
 use crate::light::{Lit, Scene, Shadow, Sky};
@@ -21,55 +22,6 @@ use crate::shade::{Light, WATER};
 use crate::stage::Stage;
 use crate::vector::{Vec3, add, finite, scaled};
 use crate::{Error, Result};
-
-/// The particles of one moment.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Frame<'a> {
-    /// Positions, metres. Those that are not finite are not drawn.
-    pub position: &'a [[f32; 3]],
-    /// What gives the particles their colours.
-    pub values: Values<'a>,
-    /// Which particles are marked in orange (see [`OutsideTest`](crate::OutsideTest)); empty: none.
-    pub outside: &'a [bool],
-    /// The liquid's surface. It is drawn in place of the particles, but for those that are outside.
-    pub surface: Option<Surface<'a>>,
-}
-
-/// The surface of a liquid: closed, its triangles counter-clockwise seen from outside.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Surface<'a> {
-    /// Vertices, metres. Triangles with one that is not finite are not drawn.
-    pub position: &'a [[f32; 3]],
-    /// Unit normals that point out of the liquid, one a vertex.
-    pub normal: &'a [[f32; 3]],
-    /// The vertices of each triangle.
-    pub triangles: &'a [[u32; 3]],
-    /// What gives the vertices their colours; without values all are those of water.
-    pub values: Values<'a>,
-}
-
-/// What gives particles, or vertices of a surface, their colours: nothing, or one entry each.
-#[derive(Clone, Copy, Debug, Default)]
-pub enum Values<'a> {
-    /// All are the same grey.
-    #[default]
-    None,
-    /// Numbers, coloured by [`Style::scale`]; those that are not finite are grey.
-    Scalar(&'a [f32]),
-    /// Indices of bodies, coloured by [`BODY_COLORS`](crate::BODY_COLORS).
-    Body(&'a [u32]),
-    /// The colours themselves.
-    Color(&'a [Rgb]),
-}
-
-/// The wall particles.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Walls<'a> {
-    /// Positions, metres.
-    pub position: &'a [[f32; 3]],
-    /// Unit normals that point into the fluid: walls seen from behind are not drawn. Empty: all are drawn.
-    pub normal: &'a [[f32; 3]],
-}
 
 /// How things look.
 #[derive(Clone, Debug, PartialEq)]
@@ -85,56 +37,6 @@ pub struct Style {
 impl Default for Style {
     fn default() -> Style {
         Style { radius: 0.025, scale: Scale::speed(4.0), supersample: 3 }
-    }
-}
-
-impl Frame<'_> {
-    /// The number of particles that are drawn in orange.
-    pub fn outside_count(&self) -> usize {
-        self.outside.iter().zip(self.position).filter(|(outside, p)| **outside && finite(p)).count()
-    }
-
-    /// The number of particles that have no place in the picture because their position is not finite.
-    pub fn non_finite_count(&self) -> usize {
-        self.position.iter().filter(|p| !finite(p)).count()
-    }
-
-    fn check(&self) -> Result<()> {
-        let marks = if self.outside.is_empty() { self.position.len() } else { self.outside.len() };
-        check_length("values of a frame", self.values.count(self.position.len()), self.position.len())?;
-        check_length("outside marks of a frame", marks, self.position.len())?;
-        let Some(surface) = &self.surface else { return Ok(()) };
-        let vertices = surface.position.len();
-        check_length("normals of a surface", surface.normal.len(), vertices)?;
-        check_length("values of a surface", surface.values.count(vertices), vertices)?;
-        let highest = surface.triangles.iter().flatten().max().map_or(0, |&vertex| vertex as usize + 1);
-        if highest > vertices || surface.triangles.len() > layers::SURFACE as usize {
-            let found = format!("{} triangles, the highest vertex {highest}", surface.triangles.len());
-            return Err(Error::parameter("triangles of a surface", found, "vertices that are there"));
-        }
-        Ok(())
-    }
-}
-
-impl Values<'_> {
-    /// Their number; `all` if there are none.
-    fn count(&self, all: usize) -> usize {
-        match self {
-            Values::None => all,
-            Values::Scalar(values) => values.len(),
-            Values::Body(bodies) => bodies.len(),
-            Values::Color(colors) => colors.len(),
-        }
-    }
-
-    /// The colour of an entry; `None` if there are no values, or none for it.
-    fn color(&self, index: usize, style: &Style, ramp: &Ramp) -> Option<Rgb> {
-        match self {
-            Values::None => None,
-            Values::Scalar(values) => style.scale.place(values[index]).map(|place| ramp.at(place)),
-            Values::Body(bodies) => Some(body_color(bodies[index])),
-            Values::Color(colors) => Some(colors[index]),
-        }
     }
 }
 
@@ -154,7 +56,7 @@ const SKY_OFF: f32 = 0.6;
 /// `Length` if a slice does not match the particles, `Parameter` if the style is out of range, a triangle has a vertex
 /// that is not there or the picture is too large.
 pub fn draw_frame(frame: &Frame<'_>, stage: &Stage, camera: &Camera, style: &Style) -> Result<Image> {
-    frame.check()?;
+    check_frame(frame)?;
     check_style(style, camera)?;
     let ramp = Ramp::new();
     // What is thrown far out of the scene must not make the maps of the light coarse.
@@ -184,11 +86,11 @@ pub fn draw_frame(frame: &Frame<'_>, stage: &Stage, camera: &Camera, style: &Sty
     }
     let sphere_color = |i: usize| match is_outside(i) {
         true => OUTSIDE,
-        false => frame.values.color(i, style, &ramp).unwrap_or(NO_VALUE),
+        false => frame.values.color(i, &style.scale, &ramp).unwrap_or(NO_VALUE),
     };
     let vertex_color = |surface: &Surface<'_>, v: usize| match surface.values {
         Values::None => WATER,
-        values => linear(values.color(v, style, &ramp).unwrap_or(NO_VALUE)),
+        values => linear(values.color(v, &style.scale, &ramp).unwrap_or(NO_VALUE)),
     };
     let vertex_colors: Vec<Vec3> = surface.map_or_else(Vec::new, |surface| {
         (0..surface.position.len()).map(|v| vertex_color(&surface, v)).collect()
@@ -228,6 +130,22 @@ pub fn draw_frame(frame: &Frame<'_>, stage: &Stage, camera: &Camera, style: &Sty
 fn mean(colors: &[Vec3]) -> Vec3 {
     let sum = colors.iter().fold([0.0; 3], |sum, &color| add(sum, color));
     if colors.is_empty() { [1.0; 3] } else { scaled(sum, 1.0 / colors.len() as f32) }
+}
+
+fn check_frame(frame: &Frame<'_>) -> Result<()> {
+    let marks = if frame.outside.is_empty() { frame.position.len() } else { frame.outside.len() };
+    check_length("values of a frame", frame.values.count(frame.position.len()), frame.position.len())?;
+    check_length("outside marks of a frame", marks, frame.position.len())?;
+    let Some(surface) = &frame.surface else { return Ok(()) };
+    let vertices = surface.position.len();
+    check_length("normals of a surface", surface.normal.len(), vertices)?;
+    check_length("values of a surface", surface.values.count(vertices), vertices)?;
+    let highest = surface.triangles.iter().flatten().max().map_or(0, |&vertex| vertex as usize + 1);
+    if highest > vertices || surface.triangles.len() > layers::SURFACE as usize {
+        let found = format!("{} triangles, the highest vertex {highest}", surface.triangles.len());
+        return Err(Error::parameter("triangles of a surface", found, "vertices that are there"));
+    }
+    Ok(())
 }
 
 fn check_length(what: &'static str, found: usize, expected: usize) -> Result<()> {

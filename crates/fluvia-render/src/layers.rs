@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use crate::camera::Camera;
-use crate::draw::Surface;
+use crate::frame::Surface;
 use crate::raster::{self, BAND, Triangle};
 use crate::splat::{Disc, NOTHING, key, shown};
 use crate::stage::Stage;

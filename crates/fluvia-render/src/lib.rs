@@ -34,6 +34,7 @@ mod camera;
 mod color;
 mod draw;
 mod error;
+mod frame;
 mod gif;
 mod image;
 mod layers;
@@ -55,8 +56,9 @@ mod view;
 
 pub use camera::Camera;
 pub use color::{BODY_COLORS, Curve, Rgb, Scale, heights, speeds};
-pub use draw::{Frame, Style, Surface, Values, Walls, draw_frame};
+pub use draw::{Style, draw_frame};
 pub use error::Error;
+pub use frame::{Frame, Surface, Values, Walls};
 pub use gif::GifEncoder;
 pub use image::{Image, encode_png};
 pub use outside::OutsideTest;

@@ -5,7 +5,7 @@
 
 use rayon::prelude::*;
 
-use crate::draw::Walls;
+use crate::frame::Walls;
 use crate::tree::Tree;
 use crate::vector::finite;
 

@@ -4,7 +4,7 @@ use rayon::prelude::*;
 
 use crate::camera::Camera;
 use crate::color::{DOT, TILE, Tone, linear};
-use crate::draw::Surface;
+use crate::frame::Surface;
 use crate::image::Image;
 use crate::layers::{self, BACK_FARTHER, Layers, SURFACE, Shapes};
 use crate::light::{Lit, Shadow};

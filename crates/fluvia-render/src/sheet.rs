@@ -3,7 +3,8 @@
 
 use crate::camera::Camera;
 use crate::color::{OUTSIDE, PAGE, QUIET, Ramp, Rgb, Scale, TEXT, TILE, body_color};
-use crate::draw::{Frame, Style, draw_frame};
+use crate::draw::{Style, draw_frame};
+use crate::frame::Frame;
 use crate::image::Image;
 use crate::stage::Stage;
 use crate::text::{Anchor, Pen};

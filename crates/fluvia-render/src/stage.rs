@@ -12,7 +12,7 @@
 
 use rayon::prelude::*;
 
-use crate::draw::Walls;
+use crate::frame::Walls;
 use crate::tree::Tree;
 use crate::vector::{Vec3, across, add, cross, dot, scaled, sub, unit};
 

@@ -1,7 +1,7 @@
 //! What a camera must show.
 
 use crate::bounds::{Bounds, central_box};
-use crate::draw::Walls;
+use crate::frame::Walls;
 use crate::upright::{rotate, upright};
 
 /// What a camera must show: the walls, and the particles of all frames.
