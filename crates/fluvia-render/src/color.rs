@@ -105,8 +105,8 @@ pub fn heights(position: &[[f32; 3]], up: [f32; 3]) -> Vec<f32> {
     position.iter().map(|p| p[0] * up[0] + p[1] * up[1] + p[2] * up[2]).collect()
 }
 
-/// The colour of body `index`.
-pub(crate) fn body_color(index: u32) -> Rgb {
+/// The colour of body `index`: one of [`BODY_COLORS`], in their order, again and again.
+pub fn body_color(index: u32) -> Rgb {
     BODY_COLORS[index as usize % BODY_COLORS.len()]
 }
 

@@ -55,7 +55,7 @@ mod vector;
 mod view;
 
 pub use camera::Camera;
-pub use color::{BODY_COLORS, Curve, Rgb, Scale, heights, speeds};
+pub use color::{BODY_COLORS, Curve, Rgb, Scale, body_color, heights, speeds};
 pub use draw::{Style, draw_frame};
 pub use error::Error;
 pub use frame::{Frame, Surface, Values, Walls};

@@ -14,7 +14,7 @@ use rayon::prelude::*;
 
 use crate::frame::Walls;
 use crate::tree::Tree;
-use crate::vector::{Vec3, across, add, cross, dot, scaled, sub, unit};
+use crate::vector::{Vec3, across, add, cross, dot, finite, scaled, sub, unit};
 
 /// Walls that are ready to be drawn; made once for all frames.
 #[derive(Clone, Debug, Default)]
@@ -92,7 +92,7 @@ impl Stage {
     pub fn new(walls: Walls<'_>) -> Stage {
         let (mut stage, mut box_of) = (Stage::default(), [[f32::INFINITY; 3], [f32::NEG_INFINITY; 3]]);
         for (i, &position) in walls.position.iter().enumerate() {
-            if !position.iter().all(|x| x.is_finite()) {
+            if !finite(&position) {
                 continue;
             }
             let normal = walls.normal.get(i).map_or([0.0; 3], |&normal| unit(normal));

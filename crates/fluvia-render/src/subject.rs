@@ -3,6 +3,7 @@
 use crate::bounds::{Bounds, central_box};
 use crate::frame::Walls;
 use crate::upright::{rotate, upright};
+use crate::vector::finite;
 
 /// What a camera must show: the walls, and the particles of all frames.
 #[derive(Clone, Debug)]
@@ -33,11 +34,8 @@ impl<'a> Subject<'a> {
     /// must have been thrown out, are left out.
     pub fn add(&mut self, position: &[[f32; 3]]) {
         let upright = upright(self.up);
-        let mut points: Vec<[f64; 3]> = position
-            .iter()
-            .filter(|p| p.iter().all(|x| x.is_finite()))
-            .map(|&p| rotate(&upright, p.map(f64::from)))
-            .collect();
+        let mut points: Vec<[f64; 3]> =
+            position.iter().filter(|p| finite(p)).map(|&p| rotate(&upright, p.map(f64::from))).collect();
         let Some(central) = central_box(&mut points) else { return };
         let reach = central.grown(2.0 * f64::from(self.radius));
         for point in points.iter().filter(|p| reach.contains(p)) {
@@ -52,7 +50,7 @@ impl<'a> Subject<'a> {
             .walls
             .iter()
             .flat_map(|walls| walls.position)
-            .filter(|p| p.iter().all(|x| x.is_finite()))
+            .filter(|p| finite(p))
             .map(|&p| rotate(&upright, p.map(f64::from)))
             .collect();
         let particles = self.particles.grown_by(radius);

@@ -1,5 +1,7 @@
 //! A k-d tree: which points lie near another.
 
+use crate::vector::finite;
+
 /// Points with their indices, sorted into a tree: the median along an axis in the middle, the smaller before it.
 #[derive(Clone, Debug)]
 pub(crate) struct Tree(Vec<Entry>);
@@ -16,9 +18,8 @@ const LEAF: usize = 16;
 impl Tree {
     /// The tree of the points that are finite.
     pub fn new(position: &[[f32; 3]]) -> Tree {
-        let is_finite = |entry: &Entry| entry.position.iter().all(|x| x.is_finite());
         let entries = position.iter().zip(0..).map(|(&position, index)| Entry { position, index });
-        let mut entries: Vec<Entry> = entries.filter(is_finite).collect();
+        let mut entries: Vec<Entry> = entries.filter(|entry| finite(&entry.position)).collect();
         build(&mut entries, 0);
         Tree(entries)
     }

@@ -1,5 +1,6 @@
 //! From where a scene is looked at.
 
+use crate::vector::finite;
 use crate::{Error, Result};
 
 /// From where to look and how large the picture is.
@@ -82,7 +83,7 @@ pub(crate) fn check(view: &View) -> Result<()> {
     for (what, point) in
         [("place of the camera in metres", view.eye), ("point to look at in metres", view.look_at)]
     {
-        if let Some(point) = point.filter(|point| !point.iter().all(|x| x.is_finite())) {
+        if let Some(point) = point.filter(|point| !finite(point)) {
             return Err(Error::parameter(what, format!("{point:?}"), "finite numbers"));
         }
     }

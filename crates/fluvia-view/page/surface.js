@@ -64,19 +64,24 @@ uniform vec4 area;
 uniform vec2 direction;
 uniform float reach, radius, most, gap;
 out float smoothed;
+// The distances so far to both sides.
+vec2 beside(int pixels) {
+  vec2 offset = float(pixels) * direction;
+  vec2 high = area.xy + area.zw;
+  return vec2(
+    texture(distances, clamp(uv + offset, area.xy, high)).r,
+    texture(distances, clamp(uv - offset, area.xy, high)).r
+  );
+}
 void main() {
   float here = texture(distances, uv).r;
   if (here == 0.0) { smoothed = 0.0; return; }
-  vec2 low = area.xy;
-  vec2 high = area.xy + area.zw;
   // A calm liquid is closed: what is seen far below it between two particles would stay a hole.
   int width = int(min(gap / here, ${MOST_GAP}.0));
   for (int k = 1; k <= ${MOST_GAP}; k++) {
     if (k > width) break;
-    vec2 offset = float(k) * direction;
-    float first = texture(distances, clamp(uv + offset, low, high)).r;
-    float second = texture(distances, clamp(uv - offset, low, high)).r;
-    if (first != 0.0 && second != 0.0) here = min(here, max(first, second));
+    vec2 sides = beside(k);
+    if (sides.x != 0.0 && sides.y != 0.0) here = min(here, max(sides.x, sides.y));
   }
   float pixels = clamp(reach / here, 1.0, most);
   int steps = int(ceil(pixels));
@@ -88,12 +93,10 @@ void main() {
   for (int k = 1; k <= ${MOST_PIXELS}; k++) {
     if (k > steps) break;
     float weight = exp(-0.5 * float(k * k) / (sigma * sigma));
-    vec2 offset = float(k) * direction;
-    float first = texture(distances, clamp(uv + offset, low, high)).r;
-    float second = texture(distances, clamp(uv - offset, low, high)).r;
+    vec2 sides = beside(k);
     // In pairs, so that a slope stays where it is.
-    if (first < below || second < below) continue;
-    sum += weight * (min(first, above) + min(second, above));
+    if (min(sides.x, sides.y) < below) continue;
+    sum += weight * (min(sides.x, above) + min(sides.y, above));
     weights += 2.0 * weight;
   }
   smoothed = sum / weights;

@@ -1,5 +1,6 @@
 // Walls: the sides that look at the eye, translucent, with their edges; or points where only points are known.
 
+import { cross, dot } from "./camera.js";
 import { createProgram, KEY } from "./gl.js";
 
 const VERTEX = `#version 300 es
@@ -57,7 +58,7 @@ const POINT = 0.9;
 
 function triangleNormal(vertices, [a, b, c]) {
   const [u, v] = [b, c].map((corner) => [0, 1, 2].map((k) => vertices[3 * corner + k] - vertices[3 * a + k]));
-  return [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]];
+  return cross(u, v);
 }
 
 /** For every vertex the number of the connected surface that it is part of. */
@@ -111,7 +112,7 @@ export function buildSurface({ vertices, triangles }) {
   const lines = [];
   for (const [key, sides] of edges) {
     const [a, b] = sides.map((t) => normals[t]);
-    if (b && a[0] * b[0] + a[1] * b[1] + a[2] * b[2] > SHARP) continue;
+    if (b && dot(a, b) > SHARP) continue;
     for (const vertex of [Math.floor(key / vertices.length), key % vertices.length]) {
       lines.push(...vertices.subarray(3 * vertex, 3 * vertex + 3), 0, 0, 0, 0);
     }

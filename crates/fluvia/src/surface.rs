@@ -8,7 +8,8 @@
 //! The steps are splashsurf's (Löschner et al. 2023, "Weighted Laplacian Smoothing for Surface Reconstruction of
 //! Particle-based Fluids"). A vertex moves to the mean of its neighbours by the weight of the particles around it:
 //! w = s(n / n₀), s(x) = x² (3 - 2 x), n_i = Σ_j (1 - |x_i - x_j|² / (2 h)²); n₀ = 13 (h / 2 r)³ is n in the bulk, for
-//! smoothing lengths h and particle radii r. So the surface of a pool gets flat, and drops and sheets, which have few neighbours, keep their volume.
+//! smoothing lengths h and particle radii r. So the surface of a pool gets flat, and drops and sheets, which have few
+//! neighbours, keep their volume.
 //!
 //! The same particles give the same bits at any number of threads and processors:
 //! - the library makes its grid in subdomains, however small the liquid is; without them its threads add densities in the
@@ -20,7 +21,7 @@
 mod cubes;
 mod walls;
 
-use anyhow::{Result, anyhow, bail};
+use anyhow::{Context, Result, bail};
 use fluvia_neighbors::{Grid, Neighbors, Options, Radius};
 use fluvia_sim::mesh::{Surface, TriangleMesh};
 use rayon::prelude::*;
@@ -124,8 +125,7 @@ pub fn reconstruct(
         ..Parameters::new(radius_in_cubes, support, 1.0)
     };
     let mut found: SurfaceReconstruction<i64, f32> =
-        splashsurf_lib::reconstruct_surface(&points, &parameters)
-            .map_err(|error| anyhow!("the surface: {}", chain(&error)))?;
+        splashsurf_lib::reconstruct_surface(&points, &parameters).context("the surface")?;
     let mut mesh = ordered(std::mem::take(&mut found.mesh));
     postprocessing::marching_cubes_cleanup(&mut mesh, &found.grid, None, CLEANUP_ITERATIONS, false);
 
@@ -256,17 +256,6 @@ fn smooth_normals(normal: &mut [Vector3<f32>], connectivity: &[Vec<usize>], iter
 fn normalize(vector: &mut Vector3<f32>) {
     let length = vector.norm();
     *vector = if length > 0.0 { *vector / length } else { Vector3::new(0.0, 1.0, 0.0) };
-}
-
-/// An error and its causes in one line.
-fn chain(error: &dyn std::error::Error) -> String {
-    let mut text = error.to_string();
-    let mut cause = error.source();
-    while let Some(error) = cause {
-        text = format!("{text}: {error}");
-        cause = error.source();
-    }
-    text
 }
 
 #[cfg(test)]

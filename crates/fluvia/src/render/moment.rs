@@ -5,7 +5,7 @@ use std::sync::{Mutex, PoisonError};
 
 use anyhow::{Context, Result};
 use fluvia_render::{
-    BODY_COLORS, Frame, OutsideTest, Rgb, Stage, Surface, Tile, Values, Walls, heights, speeds,
+    Frame, OutsideTest, Rgb, Stage, Surface, Tile, Values, Walls, body_color, heights, speeds,
 };
 use fluvia_sim::frames::ParticleData;
 use fluvia_sim::mesh;
@@ -166,7 +166,7 @@ pub enum Colors {
 fn mixed(shares: &[(usize, f32)], bodies: &[u32]) -> Rgb {
     let mut sum = [0.0; 3];
     for &(particle, share) in shares {
-        let color = BODY_COLORS[bodies[particle] as usize % BODY_COLORS.len()];
+        let color = body_color(bodies[particle]);
         (0..3).for_each(|k| sum[k] += share * f32::from(color[k]));
     }
     sum.map(|channel| channel.round() as u8)

@@ -2,7 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
+use fluvia_sim::metrics::Bounds;
 use splashsurf_lib::mesh::TriMesh3d;
 use splashsurf_lib::nalgebra::Vector3;
 
@@ -20,16 +21,13 @@ impl Cubes {
     /// The cubes around particles.
     ///
     /// # Errors
-    /// If a position is not finite, or particles are too far apart.
+    /// If there are no particles, a position is not finite, or particles are too far apart.
     pub fn around(position: &[[f32; 3]], radius: f32, params: &Params) -> Result<Cubes> {
-        let (mut low, mut high) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
-        for (particle, point) in position.iter().enumerate() {
-            if !point.iter().all(|x| x.is_finite()) {
-                bail!("the position of particle {particle} is not finite");
-            }
-            low = std::array::from_fn(|k| low[k].min(point[k]));
-            high = std::array::from_fn(|k| high[k].max(point[k]));
+        let is_lost = |point: &[f32; 3]| !point.iter().all(|x| x.is_finite());
+        if let Some(particle) = position.iter().position(is_lost) {
+            bail!("the position of particle {particle} is not finite");
         }
+        let Bounds { low, high } = Bounds::of(position).context("there are no particles")?;
         let cube = params.cube_size * radius;
         let extent = (0..3).map(|k| high[k] - low[k]).fold(0.0, f32::max);
         if extent / cube > MOST_CUBES {

@@ -106,6 +106,11 @@ impl Live {
             .with_context(|| format!("picture {index}, expected one of {}", self.panels.len()))
     }
 
+    /// The step that is shown: a panel that stands still is behind.
+    fn step(&self) -> u64 {
+        self.panels.iter().map(|panel| panel.rollout.state().step).max().unwrap_or(0)
+    }
+
     fn reset(&mut self) -> Result<()> {
         let had_failed = self.is_over();
         let rollout = Rollout::new(&self.setup)?;
@@ -309,11 +314,10 @@ impl Show for Live {
         if with_density {
             self.find_densities();
         }
-        // A panel that stands still is behind.
-        let number = self.panels.iter().map(|panel| panel.rollout.state().step).max().unwrap_or(0);
+        let number = self.step();
         Frame {
             number,
-            time: number as f64 * decimal(self.setup.dt),
+            time: number as f64 * self.dt(),
             panels: self.panels.iter().map(|panel| panel.shown(with_density)).collect(),
             ..Frame::default()
         }
@@ -332,7 +336,7 @@ impl Show for Live {
                 warning: (!warnings.is_empty()).then(|| warnings.join("; ")),
             }
         };
-        let step = self.panels.iter().map(|panel| panel.rollout.state().step).max().unwrap_or(0);
+        let step = self.step();
         let emitter = |emitter: &Emitter| fluvia_view::Emitter {
             label: emitter.source.clone(),
             position: bodies::middle(emitter),
@@ -340,7 +344,7 @@ impl Show for Live {
         };
         State {
             title: self.title.clone(),
-            dt: decimal(self.setup.dt),
+            dt: self.dt(),
             particle_radius: self.setup.particle_radius,
             up: up(self.setup.gravity),
             gravity: self.setup.gravity,
@@ -359,10 +363,9 @@ impl Show for Live {
 #[cfg(test)]
 mod tests {
     use clap::Parser;
-    use fluvia_sim::particles::{Acceleration, Particles};
-    use fluvia_sim::rollout::StepInfo;
 
     use super::*;
+    use crate::view::panel::tests::Explodes;
 
     #[derive(Parser)]
     struct Line {
@@ -385,31 +388,12 @@ mod tests {
         live.panels.iter().map(|panel| panel.rollout.state().step).collect()
     }
 
-    /// Throws a particle out of the numbers in its first step.
-    struct Explodes;
-
-    impl Solver for Explodes {
-        fn name(&self) -> &'static str {
-            "explodes"
-        }
-
-        fn step(
-            &mut self,
-            particles: &mut Particles,
-            _: Acceleration<'_>,
-            _: f32,
-        ) -> fluvia_sim::Result<StepInfo> {
-            particles.position[0][1] = f32::NAN;
-            Ok(StepInfo::default())
-        }
-    }
-
     #[test]
     fn what_stood_still_goes_on_beside_the_other() {
         let folder = tempfile::tempdir().unwrap();
         let mut live = live(&folder, "", "--solver pbf");
         live.obey(&Command::Compare { on: true }).unwrap();
-        live.panels[1].solver = Box::new(Explodes);
+        live.panels[1].solver = Box::new(Explodes(2));
         live.obey(&Command::Record { on: true }).unwrap();
         (0..3).for_each(|_| live.advance(1).unwrap());
         assert_eq!(steps(&live), [3, 0]);
@@ -437,7 +421,7 @@ mod tests {
         live.obey(&Command::Reset).unwrap();
         assert!(live.news().is_none(), "it was asked for");
         live.advance(1).unwrap();
-        live.panels[0].solver = Box::new(Explodes);
+        live.panels[0].solver = Box::new(Explodes(2));
         live.advance(1).unwrap();
         assert!(live.is_over());
         live.obey(&Command::Reset).unwrap();

@@ -117,15 +117,15 @@ impl Panel {
 }
 
 #[cfg(test)]
-mod tests {
+pub mod tests {
     use fluvia_sim::particles::{Acceleration, Boundary, Particles};
     use fluvia_sim::rollout::StepInfo;
     use fluvia_sim::scene::{Emitter, Material, Setup};
 
     use super::*;
 
-    /// Throws all particles out of the walls in its second step, and out of the numbers in its third.
-    struct Explodes(u32);
+    /// Throws a particle out of the walls in its second step, and out of the numbers in its third; so many are behind it.
+    pub struct Explodes(pub u32);
 
     impl Solver for Explodes {
         fn name(&self) -> &'static str {

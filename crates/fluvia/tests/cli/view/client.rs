@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 use tungstenite::client::IntoClientRequest;
 use tungstenite::{Message, WebSocket};
 
-use crate::common::Folder;
+use crate::common::{Folder, SCENE};
 
 /// Longer than anything takes here: what has not come then does not come.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -36,6 +36,16 @@ impl View {
             panic!("view {arguments}: {line} {}", String::from_utf8_lossy(&output.stderr));
         };
         View { child, address }
+    }
+
+    /// Plays back a run whose frames have gaps: 0, 7, 8, 9.
+    pub fn of_frames_with_gaps(folder: &Folder) -> View {
+        folder.write("scene.json", SCENE);
+        folder.succeed("simulate scene.json --solver pbf --steps 9 --out run");
+        for number in 1..=6 {
+            std::fs::remove_file(folder.path(&format!("run/fluid_{number:04}.npz"))).expect("a frame");
+        }
+        View::start(folder, "run --paused")
     }
 
     pub fn page(&self) -> String {

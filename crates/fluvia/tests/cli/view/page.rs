@@ -145,12 +145,7 @@ fn stored_frames_are_scrubbed() {
 fn the_slider_stands_at_the_frame_that_is_shown() {
     let Some(mut browser) = Browser::start() else { return };
     let folder = Folder::new();
-    folder.write("scene.json", SCENE);
-    folder.succeed("simulate scene.json --solver pbf --steps 9 --out run");
-    for number in 1..=6 {
-        std::fs::remove_file(folder.path(&format!("run/fluid_{number:04}.npz"))).unwrap();
-    }
-    let view = View::start(&folder, "run --paused");
+    let view = View::of_frames_with_gaps(&folder);
     browser.open(&format!("{}?draw=off", view.page()), 1000, 700);
     browser.until("document.getElementById('scrub').max === '3'");
     for (key, number, place) in [(".", 7, "1"), (".", 8, "2"), (".", 9, "3"), (",", 8, "2")] {

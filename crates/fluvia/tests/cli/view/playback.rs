@@ -82,12 +82,7 @@ fn it_plays_to_the_end_and_from_the_beginning() {
 #[test]
 fn frames_with_gaps_are_gone_through_by_their_places() {
     let folder = Folder::new();
-    folder.write("scene.json", SCENE);
-    folder.succeed("simulate scene.json --solver pbf --steps 9 --out run");
-    for number in 1..=6 {
-        std::fs::remove_file(folder.path(&format!("run/fluid_{number:04}.npz"))).unwrap();
-    }
-    let view = View::start(&folder, "run --paused");
+    let view = View::of_frames_with_gaps(&folder);
     let mut client = view.connect();
     let first = client.frame();
     assert_eq!((first.number, first.index), (0, 0));
