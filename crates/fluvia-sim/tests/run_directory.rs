@@ -151,6 +151,18 @@ fn a_run_resumes_from_its_state() {
 }
 
 #[test]
+fn what_killed_processes_left_is_gone_though_there_is_nothing_more_to_write() {
+    let folder = tempfile::tempdir().unwrap();
+    finished(folder.path(), 2, &[Format::Npz]);
+    let whole = names(folder.path());
+    for name in [".fluvia-write-check", "..fluvia-write-check.123.tmp", ".state.npz.123.tmp"] {
+        fs::write(folder.path().join(name), "begun").unwrap();
+    }
+    drop(RunDirectory::open(folder.path(), Mode::Resume, &[Format::Npz], DT).unwrap());
+    assert_eq!(names(folder.path()), whole);
+}
+
+#[test]
 fn a_run_that_fails_before_its_first_frame_leaves_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a/b/out");

@@ -125,14 +125,9 @@ pub fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T> {
 }
 
 /// The file that a temporary file of [`write_atomically`] is for; `None` for the name of another file.
-fn target_of(name: &str) -> Option<&str> {
+pub(super) fn target_of(name: &str) -> Option<&str> {
     let (target, process) = name.strip_prefix('.')?.strip_suffix(TEMPORARY)?.rsplit_once('.')?;
     (!process.is_empty() && process.bytes().all(|byte| byte.is_ascii_digit())).then_some(target)
-}
-
-/// Whether `name` is that of a temporary file that [`write_atomically`] makes for `target`.
-pub(super) fn is_temporary_of(name: &str, target: &str) -> bool {
-    target_of(name) == Some(target)
 }
 
 /// Removes the temporary files in a folder that killed processes have left of files whose names are among these.
@@ -267,9 +262,9 @@ mod tests {
     fn temporary_names_are_recognised() {
         let path = temporary_name(Path::new("out/box.npz")).unwrap();
         let name = path.file_name().unwrap().to_str().unwrap();
-        assert!(is_temporary_of(name, "box.npz"), "{name}");
+        assert_eq!(target_of(name), Some("box.npz"), "{name}");
         for other in ["box.npz", ".box.npz.tmp", ".box.npz.x1.tmp", ".box.npz.12.tmp~"] {
-            assert!(!is_temporary_of(other, "box.npz"), "{other}");
+            assert_ne!(target_of(other), Some("box.npz"), "{other}");
         }
     }
 }

@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::atomic::is_temporary_of;
+use super::atomic::target_of;
 use super::{Format, ParticleData, State, read, vtu, write_atomically, write_fluid, write_json, write_walls};
 use crate::particles::{Boundary, Particles};
 use crate::{Error, Result};
@@ -147,6 +147,10 @@ impl RunDirectory {
         };
         run.make_directories()?;
         run.check_writable()?;
+        if mode == Mode::Resume {
+            // What killed processes left, now: there may be nothing more to write.
+            run.remove_old()?;
+        }
         Ok(run)
     }
 
@@ -243,13 +247,15 @@ impl RunDirectory {
         Ok(())
     }
 
-    /// Removes the old run before the first file of this one; gives the path of `name`.
-    fn begin(&mut self, name: &str) -> Result<PathBuf> {
+    fn remove_old(&mut self) -> Result<()> {
         // The state goes first: what is left of a run that is half removed must not look as if it could be resumed.
         self.old.sort_by_key(|path| !path.ends_with(STATE));
-        for path in self.old.drain(..) {
-            remove_file(&path)?;
-        }
+        self.old.drain(..).try_for_each(|path| remove_file(&path))
+    }
+
+    /// Removes the old run before the first file of this one; gives the path of `name`.
+    fn begin(&mut self, name: &str) -> Result<PathBuf> {
+        self.remove_old()?;
         let path = self.path.join(name);
         if !self.has_frame {
             self.unfinished.push(path.clone());
@@ -348,13 +354,11 @@ fn is_temporary(name: &str) -> bool {
     if name == WRITE_CHECK {
         return true;
     }
-    let Some(target) = name.strip_prefix('.').and_then(|rest| rest.rsplitn(3, '.').nth(2)) else {
-        return false;
-    };
-    let is_target = [RECORD, STATE, INDEX, WRITE_CHECK].contains(&target)
-        || frame_of(target).is_some()
-        || Format::ALL.into_iter().any(|format| target == walls_name(format));
-    is_target && is_temporary_of(name, target)
+    target_of(name).is_some_and(|target| {
+        [RECORD, STATE, INDEX, WRITE_CHECK].contains(&target)
+            || frame_of(target).is_some()
+            || Format::ALL.into_iter().any(|format| target == walls_name(format))
+    })
 }
 
 /// The names in a directory that are text; ours are.
