@@ -17,9 +17,11 @@ mod manifest;
 mod plan;
 mod scene;
 
+use std::fmt::Display;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::str::FromStr;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 
@@ -75,8 +77,11 @@ pub struct Args {
     #[arg(long, value_name = "SECONDS", value_parser = positive)]
     duration: Option<f32>,
     /// The fluid particles of a scene; the preset's if not given.
-    #[arg(long, value_name = "MIN..MAX", value_parser = range)]
+    #[arg(long, value_name = "MIN..MAX", value_parser = counts)]
     particles: Option<RangeInclusive<usize>>,
+    /// The viscosity of a scene, uniform in a range; the preset's if not given. For default, box-6k and viscosity.
+    #[arg(long, value_name = "MIN..MAX", value_parser = viscosities)]
+    viscosity: Option<RangeInclusive<f32>>,
     /// The solver's own step, seconds; 0.001 for dfsph, as in the published data, if not given.
     #[arg(long, value_name = "SECONDS", value_parser = positive, conflicts_with = "solver_dt_max")]
     solver_dt: Option<f32>,
@@ -109,14 +114,25 @@ fn shard(text: &str) -> std::result::Result<Shard, String> {
     parse().ok_or_else(|| "expected K/N with 1 <= K <= N".into())
 }
 
-/// Parses "MIN..MAX"; the largest number belongs to it.
-fn range(text: &str) -> std::result::Result<RangeInclusive<usize>, String> {
+/// Parses "MIN..MAX" with numbers from `least` to `most`; the largest belongs to it.
+fn range<T>(text: &str, least: T, most: T) -> std::result::Result<RangeInclusive<T>, String>
+where
+    T: FromStr + PartialOrd + Display,
+{
     let parse = || {
         let (low, high) = text.split_once("..")?;
-        let (low, high) = (low.parse().ok()?, high.parse().ok()?);
-        (1..=high).contains(&low).then_some(low..=high)
+        let (low, high): (T, T) = (low.parse().ok()?, high.parse().ok()?);
+        (least <= low && low <= high && high <= most).then_some(low..=high)
     };
-    parse().ok_or_else(|| "expected MIN..MAX with 1 <= MIN <= MAX".into())
+    parse().ok_or_else(|| format!("expected MIN..MAX with {least} <= MIN <= MAX"))
+}
+
+fn counts(text: &str) -> std::result::Result<RangeInclusive<usize>, String> {
+    range(text, 1, usize::MAX)
+}
+
+fn viscosities(text: &str) -> std::result::Result<RangeInclusive<f32>, String> {
+    range(text, 0.0, f32::MAX)
 }
 
 pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
@@ -270,8 +286,12 @@ mod tests {
     fn shards_and_ranges() {
         assert_eq!(shard("3/8"), Ok(Shard { number: 3, of: 8 }));
         assert!(["0/2", "3/2", "1", "a/b", "1/0", "-1/2"].iter().all(|text| shard(text).is_err()));
-        assert_eq!(range("10..20"), Ok(10..=20));
-        assert_eq!(range("10..10"), Ok(10..=10));
-        assert!(["0..5", "7..5", "5", "..", "a..b"].iter().all(|text| range(text).is_err()));
+        assert_eq!(counts("10..20"), Ok(10..=20));
+        assert_eq!(counts("10..10"), Ok(10..=10));
+        assert!(["0..5", "7..5", "5", "..", "a..b"].iter().all(|text| counts(text).is_err()));
+        assert_eq!(viscosities("0..0.03"), Ok(0.0..=0.03));
+        for text in ["-0.1..0.3", "0.3..0.1", "0.1..inf", "nan..1", "0.1"] {
+            assert_eq!(viscosities(text).unwrap_err(), "expected MIN..MAX with 0 <= MIN <= MAX", "{text}");
+        }
     }
 }

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use anyhow::{Result, bail};
 use fluvia_sim::frames::sequence::FRAMES_PER_PART;
-use fluvia_sim::scene::random::{MATERIAL_TEST_VISCOSITIES, Recipe, Speed};
+use fluvia_sim::scene::random::{MATERIAL_TEST_VISCOSITIES, Recipe, Speed, Viscosity};
 use fluvia_sim::substep::Substep;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -83,6 +83,9 @@ pub struct Settings {
     /// The fewest and the most fluid particles of a scene.
     pub particles: [usize; 2],
     pub highest_speed: bool,
+    /// The lowest and the highest viscosity of a scene, where they are not the preset's.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub viscosity: Option<[f64; 2]>,
     pub solver: String,
     /// The parameters of the solver.
     pub parameters: Value,
@@ -130,6 +133,15 @@ impl Plan {
         if args.highest_speed {
             recipe.speed = Speed::Highest;
         }
+        if let Some(range) = &args.viscosity {
+            if matches!(recipe.viscosity, Viscosity::Unset) || preset == Preset::MaterialTest {
+                bail!(
+                    "--viscosity: not with --preset {}, expected default, box-6k or viscosity",
+                    preset.name()
+                );
+            }
+            recipe.viscosity = Viscosity::Uniform(range.clone());
+        }
         let [scenes, valid] = preset.sizes();
         let (scenes, valid) = (args.scenes.unwrap_or(scenes), args.valid.unwrap_or(valid));
         if scenes.checked_add(valid).is_none_or(|total| total > MOST_SCENES) {
@@ -154,6 +166,7 @@ impl Plan {
             dt: decimal(recipe.dt),
             particles: [*recipe.particles.start(), *recipe.particles.end()],
             highest_speed: args.highest_speed,
+            viscosity: args.viscosity.as_ref().map(|range| [range.start(), range.end()].map(|x| decimal(*x))),
             solver: solver.name().into(),
             parameters: solver.parameters(),
         };

@@ -251,12 +251,15 @@ fn settings_out_of_range() {
         ("generate --preset default --particles 1..5 --out out", ["1..5"]),
         ("generate --preset default --duration 0.01 --out out", ["--duration"]),
         ("generate --preset default --solver-dt-max 1e-9 --out out", ["100000"]),
+        ("generate --preset dam-break --viscosity 0.1..0.2 --out out", ["--viscosity"]),
+        ("generate --preset material-test --viscosity 0.1..0.2 --out out", ["--viscosity"]),
     ] {
         folder.fail(arguments, &words);
     }
     for arguments in [
         "generate --preset default --shard 3/2 --out out",
         "generate --preset default --particles 5..2 --out out",
+        "generate --preset default --viscosity 0.2..0.1 --out out",
         "generate --preset other --out out",
         "generate --out out",
     ] {
@@ -298,6 +301,27 @@ fn every_preset_makes_scenes() {
     folder.fail("inspect dam-break", &["1 sequences, expected 2"]);
     let set = folder.succeed("inspect material-test --json").last_json();
     assert!(set.to_string().contains("0.044") && set.to_string().contains("0.127"), "{set}");
+}
+
+#[test]
+fn viscosities_are_those_asked_for() {
+    let folder = Folder::new();
+    let command =
+        "generate --preset default --scenes 4 --valid 0 --duration 0.06 --particles 1000..1600 --out set";
+    folder.succeed(&format!("{command} --viscosity 0.5..0.6"));
+    let manifest = folder.json("set/manifest.json");
+    assert_eq!(manifest["viscosity"], serde_json::json!([0.5, 0.6]));
+    let found: Vec<f64> = manifest["records"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|record| record["scene"]["viscosity"].as_f64().unwrap())
+        .collect();
+    assert!(found.iter().all(|viscosity| (0.5..=0.6).contains(viscosity)), "{found:?}");
+    assert!(found.windows(2).all(|pair| pair[0] != pair[1]), "{found:?}");
+    // Another range is another set.
+    folder.fail(&format!("{command} --viscosity 0.5..0.7"), &["set/manifest.json"]);
+    folder.fail(command, &["set/manifest.json"]);
 }
 
 /// A disk that is full in the middle of a set: what is whole stays, and elsewhere the command goes on.
