@@ -45,25 +45,34 @@ impl Adam {
         Adam { params, updates: 0, second: zeros.clone(), first: zeros }
     }
 
-    /// One update of the weights.
+    /// One update of the weights; the rate of each is `rate` times its factor.
     ///
     /// # Panics
-    /// If the gradients are not shaped as the weights.
-    pub fn update(&mut self, weights: Vec<&mut [f32]>, gradients: &[Vec<f32>], rate: f32) {
+    /// If the gradients or the factors are not shaped as the weights.
+    pub fn update(
+        &mut self,
+        weights: Vec<&mut [f32]>,
+        gradients: &[Vec<f32>],
+        rate: f32,
+        factors: &[Vec<f32>],
+    ) {
         assert_eq!(weights.len(), gradients.len(), "a gradient for each tensor");
+        assert_eq!(weights.len(), factors.len(), "factors for each tensor");
         self.updates += 1;
         let Adam { params: Params { beta1, beta2, epsilon }, updates, first, second } = self;
         let t = i32::try_from(*updates).unwrap_or(i32::MAX);
         // In float64: 1 − β2^t is small at first.
         let correction = |beta: f32| (1.0 - f64::from(beta).powi(t)) as f32;
         let (first_scale, second_scale) = (rate / correction(*beta1), correction(*beta2).sqrt().recip());
-        let tensors = weights.into_par_iter().zip(gradients).zip(first).zip(second);
-        tensors.for_each(|(((weights, gradient), first), second)| {
+        let tensors = weights.into_par_iter().zip(gradients).zip(first).zip(second).zip(factors);
+        tensors.for_each(|((((weights, gradient), first), second), factors)| {
             assert_eq!(weights.len(), gradient.len(), "a derivative by each weight");
-            for (((w, g), m), v) in weights.iter_mut().zip(gradient).zip(first).zip(second) {
+            assert_eq!(weights.len(), factors.len(), "a factor for each weight");
+            let each = weights.iter_mut().zip(gradient).zip(first).zip(second).zip(factors);
+            for ((((w, g), m), v), factor) in each {
                 *m += (1.0 - *beta1) * (g - *m);
                 *v += (1.0 - *beta2) * (g * g - *v);
-                *w -= first_scale * *m / (v.sqrt() * second_scale + *epsilon);
+                *w -= factor * (first_scale * *m / (v.sqrt() * second_scale + *epsilon));
             }
         });
     }
@@ -92,13 +101,13 @@ mod tests {
         let gradients = [[0.5f32, -1e-3], [0.25, 2e-3], [-1.0, 0.0]];
         let (mut m, mut v, mut expected) = ([0.0f64; 2], [0.0f64; 2], [1.0f64, -2.0]);
         for (t, gradient) in (1..).zip(gradients) {
-            adam.update(vec![&mut weights], &[gradient.to_vec()], 0.01);
+            adam.update(vec![&mut weights], &[gradient.to_vec()], 0.01, &[vec![1.0, 20.0]]);
             for i in 0..2 {
                 let g = f64::from(gradient[i]);
                 m[i] = 0.9 * m[i] + 0.1 * g;
                 v[i] = 0.999 * v[i] + 0.001 * g * g;
                 let (m, v) = (m[i] / (1.0 - 0.9f64.powi(t)), v[i] / (1.0 - 0.999f64.powi(t)));
-                expected[i] -= 0.01 * m / (v.sqrt() + 1e-6);
+                expected[i] -= 0.01 * [1.0, 20.0][i] * m / (v.sqrt() + 1e-6);
                 // Rounding in float32 of numbers of the order of 1.
                 assert!((f64::from(weights[i]) - expected[i]).abs() < 1e-6, "{t}: {weights:?} {expected:?}");
             }

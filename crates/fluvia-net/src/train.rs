@@ -8,13 +8,14 @@ use cconv::{Kernel, PositionGradient, Precision};
 
 use crate::adam::{Adam, average};
 use crate::checkpoint::{Checkpoint, Place};
+use crate::config::BASE_INPUTS;
 use crate::dataset::Batch;
 use crate::integrate::State;
 use crate::loss::Loss;
 use crate::net::Network;
 use crate::step::StepGradients;
 use crate::unroll::{Storage, Unroll};
-use crate::weights::Weights;
+use crate::weights::{Tensor, Weights};
 use crate::{Error, Result, adam};
 
 mod schedule;
@@ -43,6 +44,10 @@ pub struct Options {
     pub storage: Storage,
     /// The format of the large matrix products.
     pub precision: Precision,
+    /// How many times the rate the weights of [`Config::extra_inputs`](crate::config::Config::extra_inputs) have. Adam moves
+    /// all weights alike, so that those of an input whose values are small (a viscosity is at most 0.3) hardly change what the
+    /// network computes: with a factor k the training is that of a network which takes k times the input.
+    pub extra_input_rate: f32,
 }
 
 /// What a step did.
@@ -66,6 +71,8 @@ pub struct Trainer {
     /// Averaged weights, as the tensors of `weights`.
     averages: Option<Vec<Vec<f32>>>,
     gradients: Vec<Vec<f32>>,
+    /// What the rate is multiplied by for each weight.
+    factors: Vec<Vec<f32>>,
     by_states: Vec<State>,
     /// The steps before those that count.
     lead: Unroll,
@@ -105,9 +112,10 @@ impl Trainer {
                 return Err(Error::Parameter("moments or averages of other tensors than the weights".into()));
             }
         }
+        let factors = factors(&weights, options.extra_input_rate);
         let (lead, unroll) = (Unroll::new(Storage::Recompute), Unroll::new(options.storage));
         let by_states = Vec::new();
-        Ok(Trainer { options, kernel, weights, adam, averages, gradients, by_states, lead, unroll })
+        Ok(Trainer { options, kernel, weights, adam, averages, gradients, factors, by_states, lead, unroll })
     }
 
     /// The weights of now.
@@ -194,7 +202,7 @@ impl Trainer {
         let squares = self.gradients.iter().flatten().map(|&d| f64::from(d).powi(2));
         let gradient = squares.sum::<f64>().sqrt();
         let rate = self.options.schedule.rate(self.adam.updates);
-        self.adam.update(self.weights.values_mut(), &self.gradients, rate);
+        self.adam.update(self.weights.values_mut(), &self.gradients, rate, &self.factors);
         if let (Some(averages), Some(decay)) = (&mut self.averages, self.options.average) {
             // At first less: the average reaches back over a tenth of the updates, so that the beginning is soon forgotten.
             let decay = decay.min(self.adam.updates as f32 / (self.adam.updates as f32 + REACH));
@@ -213,4 +221,15 @@ fn not_finite(what: &str, updates: u64) -> Error {
 /// The values of all tensors.
 fn values(weights: &Weights) -> Vec<Vec<f32>> {
     weights.tensors().iter().map(|tensor| tensor.values.to_vec()).collect()
+}
+
+/// For every weight how many times the rate it has: that of the extra inputs in the first layer, 1 elsewhere.
+fn factors(weights: &Weights, extra_input_rate: f32) -> Vec<Vec<f32>> {
+    let of_tensor = |tensor: Tensor<'_>| match (tensor.name.as_str(), tensor.shape.as_slice()) {
+        ("conv0_fluid.kernel" | "dense0_fluid.weight", &[.., inputs, outputs]) => (0..tensor.values.len())
+            .map(|place| if place / outputs % inputs < BASE_INPUTS { 1.0 } else { extra_input_rate })
+            .collect(),
+        _ => vec![1.0; tensor.values.len()],
+    };
+    weights.tensors().into_iter().map(of_tensor).collect()
 }

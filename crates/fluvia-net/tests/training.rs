@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 
 use cconv::{Kernel, PositionGradient, Precision};
 use fluvia_net::adam;
+use fluvia_net::config::Config;
 use fluvia_net::dataset::Batch;
 use fluvia_net::integrate::State;
 use fluvia_net::loss::Loss;
@@ -31,6 +32,7 @@ fn published() -> Options {
         positions: PositionGradient::Stop,
         storage: Storage::Keep,
         precision: Precision::F32,
+        extra_input_rate: 1.0,
     }
 }
 
@@ -146,6 +148,43 @@ fn a_network_learns_and_its_average_follows() {
     assert!(averaged < 0.65 * before, "{before} to {averaged}");
     let (again, _, same) = run(3);
     assert!(losses == again && result == same, "other bits with other numbers of threads");
+}
+
+/// A network of viscosities times 16 is the same network with a sixteenth of their weights. Powers of two change no digit of
+/// float32, so that the trainings are the same to the last bit.
+#[test]
+fn a_rate_of_extra_inputs_is_that_of_larger_inputs() {
+    let golden = Golden::open();
+    let teacher = weights::load(golden_folder().join("net.pt")).unwrap();
+    let config = Config { extra_inputs: vec!["viscosity".into()], ..teacher.config.clone() };
+    let student = Weights::random(config, 4, &[6, 6], 1);
+    /// The weights of the viscosity times a factor.
+    fn scaled(mut weights: Weights, factor: f32) -> Weights {
+        let outputs = weights.fluid.outputs;
+        let dense = weights.fluid_dense.as_mut().unwrap();
+        for rows in [&mut weights.fluid.kernel, &mut dense.weight] {
+            rows.chunks_exact_mut(5 * outputs).for_each(|cell| {
+                cell[4 * outputs..].iter_mut().for_each(|weight| *weight *= factor);
+            });
+        }
+        weights
+    }
+    let run = |student: Weights, factor: f32, extra_input_rate: f32| {
+        // ε would be another one for gradients that are 16 times as large.
+        let adam = adam::Params { epsilon: 1e-30, ..adam::Params::default() };
+        let options = Options { adam, extra_input_rate, average: Some(0.5), ..published() };
+        let mut trainer = Trainer::new(options, student, Kernel::detect()).unwrap();
+        for b in 0..4 {
+            let mut batch = golden.batch(b);
+            batch.extra =
+                (0..batch.start.position.len()).map(|i| factor * (0.01 + 0.01 * i as f32)).collect();
+            trainer.step(&batch).unwrap();
+        }
+        trainer.result()
+    };
+    let expected = run(scaled(student.clone(), 1.0 / 16.0), 16.0, 1.0);
+    assert!(run(student.clone(), 1.0, 16.0) == scaled(expected, 16.0));
+    assert!(run(student.clone(), 1.0, 16.0) != run(student, 1.0, 1.0));
 }
 
 #[test]

@@ -191,12 +191,14 @@ pub struct Optimizer {
     pub beta1: f32,
     pub beta2: f32,
     pub epsilon: f32,
+    /// How many times the rate the weights of the viscosity have, where it is an input: its values are small.
+    pub viscosity_rate: f32,
 }
 
 impl Default for Optimizer {
     fn default() -> Optimizer {
         let adam::Params { beta1, beta2, epsilon } = adam::Params::default();
-        Optimizer { beta1, beta2, epsilon }
+        Optimizer { beta1, beta2, epsilon, viscosity_rate: 1.0 }
     }
 }
 
@@ -313,6 +315,7 @@ impl Config {
             positions: if training.positions { PositionGradient::Full } else { PositionGradient::Stop },
             storage: if training.recompute { Storage::Recompute } else { Storage::Keep },
             precision: training.precision.into(),
+            extra_input_rate: optimizer.viscosity_rate,
         }
     }
 
@@ -405,6 +408,7 @@ mod tests {
             ("[training]\nupdates = -1", vec!["line 2"]),
             ("[loss]\nexponent = nan", vec!["`loss.exponent`"]),
             ("[optimizer]\nbeta2 = 1.0", vec!["`optimizer.beta2`", "below 1"]),
+            ("[optimizer]\nviscosity_rate = 20.0", vec!["`optimizer.viscosity_rate`", "`network.viscosity`"]),
             ("[rate]\nkind = \"linear\"", vec!["linear", "cosine"]),
             ("[rate]\nkind = \"paper\"\nhighest = 5e-3", vec!["`highest`"]),
             (

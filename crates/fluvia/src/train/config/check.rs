@@ -41,6 +41,7 @@ impl Config {
         let (mut positive, mut parts) = (vec![("loss.exponent", loss.exponent)], Vec::new());
         positive.push(("network.dt", network.dt));
         positive.push(("optimizer.epsilon", optimizer.epsilon));
+        positive.push(("optimizer.viscosity_rate", optimizer.viscosity_rate));
         match self.rate {
             Rate::Steps { highest, factor, ref at } => {
                 positive.extend([("rate.highest", highest), ("rate.factor", factor)]);
@@ -78,6 +79,12 @@ impl Config {
         if loss.velocity == Some(true) && network.integration == IntegrationName::Paper {
             bail!(
                 "`loss.velocity`: true, but with `network.integration` \"paper\" velocities follow from positions"
+            );
+        }
+        if optimizer.viscosity_rate != 1.0 && !network.viscosity {
+            bail!(
+                "`optimizer.viscosity_rate`: {}, but `network.viscosity` is false",
+                optimizer.viscosity_rate
             );
         }
         Ok(())
