@@ -44,12 +44,15 @@ mod tests {
     use fluvia_net::config::Integration;
     use fluvia_net::evaluate::lone_acceleration;
     use fluvia_net::solver::NetSolver;
-    use fluvia_sim::metrics::{density_ratios, mean_speed};
+    use fluvia_sim::metrics::{density_ratios, mean_speed, spread};
     use fluvia_sim::particles::Boundary;
     use fluvia_sim::rollout::{Rollout, State};
     use fluvia_sim::scene::Scene;
+    use fluvia_sim::substep::Substep;
 
     use super::*;
+    use crate::options::PrecisionName;
+    use crate::solvers::{Choice, PUBLISHED_STEP, SolverName};
 
     #[test]
     fn shipped_weights_are_ours_and_say_how_they_were_trained() {
@@ -106,6 +109,36 @@ mod tests {
             println!("{name}: {} particles, {dense} dense, {speed} m/s, {summary:?}", particles.len());
             assert_eq!((particles.len(), summary.worst_outside), (1000, 0), "{name}");
             assert!(dense < 10 && speed < 0.1, "{name}: {dense} dense, {speed} m/s");
+        }
+    }
+
+    /// A cube in an open container flows apart the slower the more viscous it is, within a fifth as the solver has it that
+    /// made the training data.
+    #[test]
+    fn a_liquid_spreads_as_its_viscosity_has_it() {
+        let dfsph = SolverName::Dfsph.choice(Some(Substep::Fixed(PUBLISHED_STEP)));
+        let network = Choice::Network(Box::new(load(Path::new("viscosity")).unwrap().0), PrecisionName::F32);
+        for viscosity in [0.01, 0.03, 0.1, 0.3] {
+            let scene = format!(
+                r#"{{
+                  "walls": [{{"shape": "container", "scale": [4, 2, 2]}}],
+                  "fluids": [{{"shape": "box", "scale": 0.8, "translation": [0, 0.5, 0], "viscosity": {viscosity}}}]
+                }}"#
+            );
+            let setup = Scene::parse(scene.as_bytes(), "cube.json").unwrap().sample(0).unwrap();
+            let [expected, found] = [&dfsph, &network].map(|choice| {
+                let mut solver = choice.make(&setup, Kernel::detect()).unwrap();
+                let mut rollout = Rollout::new(&setup).unwrap();
+                for _ in 0..40 {
+                    rollout.advance(&mut *solver).unwrap();
+                }
+                spread(&rollout.state().particles.position).unwrap()
+            });
+            println!("viscosity {viscosity}: {found:.3} m, DFSPH {expected:.3} m");
+            assert!(
+                (found / expected - 1.0).abs() < 0.2,
+                "viscosity {viscosity}: {found} m, DFSPH {expected} m"
+            );
         }
     }
 }

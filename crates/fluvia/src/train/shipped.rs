@@ -1,11 +1,12 @@
 //! The settings that come with the program: the files of assets/configs, by name.
 
-const SHIPPED: [(&str, &str); 13] = [
+const SHIPPED: [(&str, &str); 14] = [
     ("paper", include_str!("../../../../assets/configs/paper.toml")),
     ("published", include_str!("../../../../assets/configs/published.toml")),
     ("two-cores", include_str!("../../../../assets/configs/two-cores.toml")),
     ("two-cores-rollouts", include_str!("../../../../assets/configs/two-cores-rollouts.toml")),
     ("two-cores-viscosity", include_str!("../../../../assets/configs/two-cores-viscosity.toml")),
+    ("two-cores-viscosity-steps", include_str!("../../../../assets/configs/two-cores-viscosity-steps.toml")),
     ("box-6k", include_str!("../../../../assets/configs/box-6k.toml")),
     ("viscosity", include_str!("../../../../assets/configs/viscosity.toml")),
     ("dam-break", include_str!("../../../../assets/configs/dam-break.toml")),
