@@ -45,8 +45,8 @@ pub struct Options {
     /// The format of the large matrix products.
     pub precision: Precision,
     /// How many times the rate the weights of [`Config::extra_inputs`](crate::config::Config::extra_inputs) have. Adam moves
-    /// all weights alike, so that those of an input whose values are small (a viscosity is at most 0.3) hardly change what the
-    /// network computes: with a factor k the training is that of a network which takes k times the input.
+    /// all weights alike, so that those of an input whose values are small (the published viscosities are at most 0.4) hardly
+    /// change what the network computes: with a factor k the training is that of a network which takes k times the input.
     pub extra_input_rate: f32,
 }
 

@@ -17,7 +17,6 @@ mod manifest;
 mod plan;
 mod scene;
 
-use std::fmt::Display;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -33,6 +32,7 @@ use indicatif::ProgressBar;
 use crate::interrupt;
 use crate::options::{positive, thread_pool, threads};
 use crate::report::Report;
+use crate::solvers::DFSPH_VISCOSITIES;
 pub use manifest::{FILE as MANIFEST, settings_of};
 use plan::{Plan, Preset, Task};
 use scene::Outcome;
@@ -44,6 +44,7 @@ Examples:
   fluvia generate --preset default --out data/default
   fluvia generate --preset box-6k --scenes 20 --valid 2 --duration 4 --seed 7 --out data/small
   fluvia generate --preset viscosity --out data/viscosity --shard 3/8
+  fluvia generate --preset viscosity --viscosity 0.01..0.1 --out data/thin
 
 The same command goes on where an earlier one stopped. Shards of one set may write to one directory, at once or one
 after the other; made in several directories, their files are put together and the command without --shard writes the
@@ -79,7 +80,7 @@ pub struct Args {
     /// The fluid particles of a scene; the preset's if not given.
     #[arg(long, value_name = "MIN..MAX", value_parser = counts)]
     particles: Option<RangeInclusive<usize>>,
-    /// The viscosity of a scene, uniform in a range; the preset's if not given. For default, box-6k and viscosity.
+    /// The viscosity of a scene, uniform in a range within 0..1; the preset's if not given. For default, box-6k and viscosity.
     #[arg(long, value_name = "MIN..MAX", value_parser = viscosities)]
     viscosity: Option<RangeInclusive<f32>>,
     /// The solver's own step, seconds; 0.001 for dfsph, as in the published data, if not given.
@@ -114,25 +115,22 @@ fn shard(text: &str) -> std::result::Result<Shard, String> {
     parse().ok_or_else(|| "expected K/N with 1 <= K <= N".into())
 }
 
-/// Parses "MIN..MAX" with numbers from `least` to `most`; the largest belongs to it.
-fn range<T>(text: &str, least: T, most: T) -> std::result::Result<RangeInclusive<T>, String>
-where
-    T: FromStr + PartialOrd + Display,
-{
-    let parse = || {
-        let (low, high) = text.split_once("..")?;
-        let (low, high): (T, T) = (low.parse().ok()?, high.parse().ok()?);
-        (least <= low && low <= high && high <= most).then_some(low..=high)
-    };
-    parse().ok_or_else(|| format!("expected MIN..MAX with {least} <= MIN <= MAX"))
+/// Parses "MIN..MAX"; the largest number belongs to it.
+fn range<T: FromStr>(text: &str) -> Option<RangeInclusive<T>> {
+    let (low, high) = text.split_once("..")?;
+    Some(low.parse().ok()?..=high.parse().ok()?)
 }
 
 fn counts(text: &str) -> std::result::Result<RangeInclusive<usize>, String> {
-    range(text, 1, usize::MAX)
+    let counts = range(text).filter(|range| (1..=*range.end()).contains(range.start()));
+    counts.ok_or_else(|| "expected MIN..MAX with 1 <= MIN <= MAX".into())
 }
 
 fn viscosities(text: &str) -> std::result::Result<RangeInclusive<f32>, String> {
-    range(text, 0.0, f32::MAX)
+    let [low, high] = DFSPH_VISCOSITIES;
+    let viscosities = range(text)
+        .filter(|range| low <= *range.start() && range.start() <= range.end() && *range.end() <= high);
+    viscosities.ok_or_else(|| format!("expected MIN..MAX with {low} <= MIN <= MAX <= {high}"))
 }
 
 pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {
@@ -290,8 +288,12 @@ mod tests {
         assert_eq!(counts("10..10"), Ok(10..=10));
         assert!(["0..5", "7..5", "5", "..", "a..b"].iter().all(|text| counts(text).is_err()));
         assert_eq!(viscosities("0..0.03"), Ok(0.0..=0.03));
-        for text in ["-0.1..0.3", "0.3..0.1", "0.1..inf", "nan..1", "0.1"] {
-            assert_eq!(viscosities(text).unwrap_err(), "expected MIN..MAX with 0 <= MIN <= MAX", "{text}");
+        for text in ["-0.1..0.3", "0.3..0.1", "0.1..1.1", "0.1..inf", "nan..1", "0.1"] {
+            assert_eq!(
+                viscosities(text).unwrap_err(),
+                "expected MIN..MAX with 0 <= MIN <= MAX <= 1",
+                "{text}"
+            );
         }
     }
 }

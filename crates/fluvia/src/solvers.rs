@@ -18,7 +18,7 @@ use serde_json::json;
 
 use crate::options::PrecisionName;
 use crate::record::decimal;
-pub use fit::{check_material, check_network};
+pub use fit::{DFSPH_VISCOSITIES, check_material, check_network};
 
 /// The step of DFSPH in the published data, seconds.
 pub const PUBLISHED_STEP: f32 = 1e-3;

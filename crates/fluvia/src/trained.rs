@@ -112,13 +112,14 @@ mod tests {
         }
     }
 
-    /// A cube in an open container flows apart the slower the more viscous it is, within a fifth as the solver has it that
-    /// made the training data.
+    /// A cube in an open container flows apart the slower the more viscous it is, as far as the solver has it that made the
+    /// training data: within 20 %, of which docs/replicate.md, where these figures are, has 13.
     #[test]
     fn a_liquid_spreads_as_its_viscosity_has_it() {
         let dfsph = SolverName::Dfsph.choice(Some(Substep::Fixed(PUBLISHED_STEP)));
         let network = Choice::Network(Box::new(load(Path::new("viscosity")).unwrap().0), PrecisionName::F32);
-        for viscosity in [0.01, 0.03, 0.1, 0.3] {
+        let mut last = f64::INFINITY;
+        for viscosity in [0.01, 0.03, 0.1, 0.2, 0.3] {
             let scene = format!(
                 r#"{{
                   "walls": [{{"shape": "container", "scale": [4, 2, 2]}}],
@@ -139,6 +140,8 @@ mod tests {
                 (found / expected - 1.0).abs() < 0.2,
                 "viscosity {viscosity}: {found} m, DFSPH {expected} m"
             );
+            assert!(found < last, "viscosity {viscosity}: {found} m, {last} m for the one before");
+            last = found;
         }
     }
 }

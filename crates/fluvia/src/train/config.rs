@@ -191,7 +191,7 @@ pub struct Optimizer {
     pub beta1: f32,
     pub beta2: f32,
     pub epsilon: f32,
-    /// How many times the rate the weights of the viscosity have, where it is an input: its values are small.
+    /// How many times the rate of all others the weights of the viscosity have, where it is an input: its values are small.
     pub viscosity_rate: f32,
 }
 
@@ -365,6 +365,8 @@ mod tests {
             let found = config.options().loss;
             assert_eq!(found, Loss { exponent, neighbor_scale: found.neighbor_scale, ..Loss::default() });
         }
+        assert_eq!(Config::load("viscosity").unwrap().options().extra_input_rate, 1.0);
+        assert_eq!(Config::load("two-cores-viscosity").unwrap().options().extra_input_rate, 20.0);
         let mut files: Vec<String> = std::fs::read_dir(&folder)
             .unwrap()
             .map(|entry| entry.unwrap().path().file_stem().unwrap().to_string_lossy().into_owned())
