@@ -106,7 +106,7 @@ impl Choice {
     /// The viscosities that the solver takes, from the lowest to the highest; `None` if it is made for one.
     pub fn viscosities(&self) -> Option<[f32; 2]> {
         match self {
-            Choice::Dfsph(_) => Some(fit::DFSPH_VISCOSITIES),
+            Choice::Dfsph(_) => Some(DFSPH_VISCOSITIES),
             Choice::Pbf(_) => None,
             Choice::Network(weights, _) => {
                 weights.config.viscosity_range.filter(|_| fit::takes_viscosity(&weights.config))
