@@ -4,8 +4,9 @@ use fluvia_render::{
     Camera, Error, Frame, Image, Stage, Style, Subject, Surface, Values, View, Walls, draw_frame,
 };
 
-const TILE: [u8; 3] = [24, 29, 37];
-const RADIUS: f32 = 0.025;
+mod common;
+
+use common::{RADIUS, TILE, assert_disc, camera};
 
 /// A floor of 2 m at y = 0 around the origin: points as far apart as those of sampled walls, off a lattice.
 fn floor() -> (Vec<[f32; 3]>, Vec<[f32; 3]>) {
@@ -41,12 +42,6 @@ fn ball(center: [f32; 3], radius: f32) -> Mesh {
     (position, normal, triangles)
 }
 
-fn camera(walls: Walls<'_>, position: &[[f32; 3]], view: &View) -> Camera {
-    let mut subject = Subject::new(walls, RADIUS);
-    subject.add(position);
-    Camera::fit(&subject, view).expect("a view in range")
-}
-
 fn brightness(image: &Image, camera: &Camera, point: [f32; 3]) -> u32 {
     let [x, y, _] = camera.project(point).expect("before the camera");
     image.get(x as u32, y as u32).expect("in the picture").iter().map(|&c| u32::from(c)).sum()
@@ -64,16 +59,9 @@ fn a_surface_has_the_silhouette_of_what_it_is() {
     // Seen from so near the outline of a ball is a little larger than its radius at its depth.
     let reach = camera.focal() * 0.25 / (depth * depth - 0.25 * 0.25).sqrt();
     assert!(reach > 70.0, "{reach}");
-    for row in 0..image.height {
-        for column in 0..image.width {
-            let away = (column as f32 + 0.5 - x).hypot(row as f32 + 0.5 - y);
-            let drawn = image.get(column, row) != Some(TILE);
-            // Facets lie up to 0.1 % inside, and a pixel on the rim is partly covered; away from the middle of the
-            // picture a ball is an ellipse.
-            assert!(drawn || away > reach - 2.0, "hole at {column}, {row}");
-            assert!(!drawn || away < reach + 2.0, "speck at {column}, {row}");
-        }
-    }
+    // Facets lie up to 0.1 % inside, and a pixel on the rim is partly covered; away from the middle of the picture a ball is an
+    // ellipse.
+    assert_disc(&image, [x, y], reach, 2.0);
 }
 
 #[test]

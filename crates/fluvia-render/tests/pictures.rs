@@ -6,14 +6,9 @@ use fluvia_render::{
 };
 use proptest::prelude::*;
 
-const TILE: [u8; 3] = [24, 29, 37];
-const RADIUS: f32 = 0.025;
+mod common;
 
-fn camera(position: &[[f32; 3]], walls: Walls<'_>, view: &View) -> Camera {
-    let mut subject = Subject::new(walls, RADIUS);
-    subject.add(position);
-    Camera::fit(&subject, view).expect("a view in range")
-}
+use common::{RADIUS, TILE, assert_disc, camera};
 
 fn small() -> View {
     View { width: 120, height: Some(90), ..View::default() }
@@ -50,21 +45,14 @@ fn hue(pixel: [u8; 3], candidates: &[[u8; 3]]) -> usize {
 #[test]
 fn a_sphere_is_drawn_where_the_camera_sees_it_and_as_large() {
     let position = [[0.3, 0.2, -0.1], [0.9, 0.5, 0.2]];
-    let camera = camera(&position, Walls::default(), &View { width: 400, ..View::default() });
+    let camera = camera(Walls::default(), &position, &View { width: 400, ..View::default() });
     let frame = Frame { position: &position[..1], ..Frame::default() };
     let image = draw_frame(&frame, &Stage::default(), &camera, &Style::default()).unwrap();
     let [x, y, depth] = camera.project(position[0]).unwrap();
     let reach = camera.focal() * RADIUS / depth;
     assert!(reach > 10.0, "the sphere must be large enough to measure: {reach} pixels");
-    for row in 0..image.height {
-        for column in 0..image.width {
-            let away = (column as f32 + 0.5 - x).hypot(row as f32 + 0.5 - y);
-            let drawn = image.get(column, row) != Some(TILE);
-            // A pixel on the rim is partly covered: half its diagonal to either side.
-            assert!(drawn || away > reach - 0.71, "hole at {column}, {row}");
-            assert!(!drawn || away < reach + 0.71, "speck at {column}, {row}");
-        }
-    }
+    // A pixel on the rim is partly covered: half its diagonal to either side.
+    assert_disc(&image, [x, y], reach, 0.71);
     // The lamp is at the upper left.
     let brightness = |dx: f32, dy: f32| {
         let pixel = image.get((x + dx * reach) as u32, (y + dy * reach) as u32).unwrap();
@@ -78,7 +66,7 @@ fn the_nearer_sphere_hides_the_farther_whatever_their_order() {
     let view = View { yaw: 0.0, pitch: 0.0, ..small() };
     let (near, far) = ([0.0, 0.0, 0.1], [0.0, 0.0, -0.1]);
     let position = [near, far, [0.2, 0.1, 0.0], [-0.2, -0.1, 0.0]];
-    let camera = camera(&position, Walls::default(), &view);
+    let camera = camera(Walls::default(), &position, &view);
     for (position, expected) in [([near, far], 0), ([far, near], 1)] {
         let frame = Frame { position: &position, values: Values::Body(&[0, 1]), ..Frame::default() };
         let image = draw_frame(&frame, &Stage::default(), &camera, &Style::default()).unwrap();
@@ -92,7 +80,7 @@ fn spheres_that_cut_each_other_meet_half_way() {
     let view = View { yaw: 0.0, pitch: 0.0, width: 300, ..View::default() };
     // Side by side at the same depth, overlapping by a radius.
     let position = [[-0.5 * RADIUS, 0.0, 0.0], [0.5 * RADIUS, 0.0, 0.0]];
-    let camera = camera(&position, Walls::default(), &view);
+    let camera = camera(Walls::default(), &position, &view);
     let frame = Frame { position: &position, values: Values::Body(&[0, 1]), ..Frame::default() };
     let image = draw_frame(&frame, &Stage::default(), &camera, &Style::default()).unwrap();
     let [middle, y, _] = camera.project([0.0; 3]).unwrap();
@@ -105,7 +93,7 @@ fn spheres_that_cut_each_other_meet_half_way() {
 #[test]
 fn a_particle_outside_is_orange_and_counted_in_the_label() {
     let position = [[0.0, 0.0, 0.0], [0.2, 0.0, 0.0], [f32::NAN, 0.0, 0.0]];
-    let camera = camera(&position, Walls::default(), &View { yaw: 0.0, ..small() });
+    let camera = camera(Walls::default(), &position, &View { yaw: 0.0, ..small() });
     let outside = [false, true, true];
     let frame = Frame {
         position: &position,
@@ -142,7 +130,7 @@ fn walls_are_seen_from_their_front_and_behind_the_fluid() {
     let behind: Vec<_> = normal.iter().map(|n| n.map(|x| -x)).collect();
     let position = [[0.5, 0.5, 0.02]];
     let front = Walls { position: &wall, normal: &normal };
-    let camera = camera(&position, front, &View { width: 300, ..View::default() });
+    let camera = camera(front, &position, &View { width: 300, ..View::default() });
     let empty = Frame::default();
     let style = Style::default();
     let drawn = |walls| {
@@ -182,7 +170,7 @@ fn the_same_bits_at_any_number_of_threads() {
             };
             let stage = Stage::new(walls);
             let tile = Tile { frame, stage: Some(&stage), label: "frame 0".to_owned(), note: String::new() };
-            let camera = camera(&position, walls, &View { width: 200, ..View::default() });
+            let camera = camera(walls, &position, &View { width: 200, ..View::default() });
             let style = Style::default();
             let mut page = Page::new("title", &[("row", 2)], Legend::Scale, &camera, &style).unwrap();
             [0, 1].into_iter().for_each(|column| page.draw([0, column], &tile).unwrap());
@@ -200,7 +188,7 @@ fn walls_fill_the_picture_to_its_margins_from_every_side() {
     for yaw in [-170.0, -60.0, 0.0, 24.0, 95.0, 204.0] {
         for pitch in [-89.0, -20.0, 0.0, 18.0, 89.0] {
             let view = View { yaw, pitch, width: 300, margin: 10, ..View::default() };
-            let camera = camera(&[], walls, &view);
+            let camera = camera(walls, &[], &view);
             let seen: Vec<_> = wall.iter().map(|&p| camera.project(p).unwrap()).collect();
             let ends = |k: usize| {
                 let values = seen.iter().map(|p| p[k]);
@@ -236,16 +224,16 @@ fn another_direction_up_gives_the_same_picture_of_the_turned_scene() {
 #[test]
 fn a_particle_thrown_far_away_does_not_shrink_the_picture() {
     let (mut position, _) = spray(2000);
-    let usual = camera(&position, Walls::default(), &small());
+    let usual = camera(Walls::default(), &position, &small());
     position.push([1e7, 3e8, -2.0]);
-    let with_stray = camera(&position, Walls::default(), &small());
+    let with_stray = camera(Walls::default(), &position, &small());
     assert_eq!(usual, with_stray);
 }
 
 #[test]
 fn nothing_and_one_particle_give_pictures() {
     let style = Style::default();
-    let empty = camera(&[], Walls::default(), &small());
+    let empty = camera(Walls::default(), &[], &small());
     let image = draw_frame(&Frame::default(), &Stage::default(), &empty, &style).unwrap();
     assert_eq!(image, Image::filled(120, 90, TILE));
     let page = Page::new("", &[], Legend::None, &empty, &style).unwrap().finish();
@@ -253,7 +241,7 @@ fn nothing_and_one_particle_give_pictures() {
 
     // Far from the origin float32 still has steps of 1/16 m, but the particle is in the middle.
     for at in [[0.0; 3], [1e6, -1e6, 1e6]] {
-        let one = camera(&[at], Walls::default(), &small());
+        let one = camera(Walls::default(), &[at], &small());
         let image =
             draw_frame(&Frame { position: &[at], ..Frame::default() }, &Stage::default(), &one, &style);
         assert_ne!(image.unwrap().get(60, 45), Some(TILE));
@@ -262,7 +250,7 @@ fn nothing_and_one_particle_give_pictures() {
 
 #[test]
 fn particles_behind_and_at_the_camera_are_left_out() {
-    let camera = camera(&[[0.0; 3], [1.0; 3]], Walls::default(), &small());
+    let camera = camera(Walls::default(), &[[0.0; 3], [1.0; 3]], &small());
     let eye = camera.eye();
     let behind = eye.map(|x| 2.0 * x);
     assert_eq!((camera.project(eye), camera.project(behind)), (None, None));
@@ -273,7 +261,7 @@ fn particles_behind_and_at_the_camera_are_left_out() {
 
 #[test]
 fn what_does_not_match_or_is_out_of_range_is_an_error_of_one_line() {
-    let camera = camera(&[[0.0; 3]], Walls::default(), &small());
+    let camera = camera(Walls::default(), &[[0.0; 3]], &small());
     let style = Style::default();
     let frame = Frame { position: &[[0.0; 3]; 2], values: Values::Scalar(&[1.0]), ..Frame::default() };
     let error = draw_frame(&frame, &Stage::default(), &camera, &style).unwrap_err();
