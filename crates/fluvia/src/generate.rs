@@ -20,7 +20,6 @@ mod scene;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::str::FromStr;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 
@@ -30,7 +29,7 @@ use fluvia_sim::scene::random::random_scene;
 use indicatif::ProgressBar;
 
 use crate::interrupt;
-use crate::options::{positive, thread_pool, threads};
+use crate::options::{pair, positive, thread_pool, threads};
 use crate::report::Report;
 use crate::solvers::DFSPH_VISCOSITIES;
 pub use manifest::{FILE as MANIFEST, settings_of};
@@ -115,22 +114,16 @@ fn shard(text: &str) -> std::result::Result<Shard, String> {
     parse().ok_or_else(|| "expected K/N with 1 <= K <= N".into())
 }
 
-/// Parses "MIN..MAX"; the largest number belongs to it.
-fn range<T: FromStr>(text: &str) -> Option<RangeInclusive<T>> {
-    let (low, high) = text.split_once("..")?;
-    Some(low.parse().ok()?..=high.parse().ok()?)
-}
-
 fn counts(text: &str) -> std::result::Result<RangeInclusive<usize>, String> {
-    let counts = range(text).filter(|range| (1..=*range.end()).contains(range.start()));
-    counts.ok_or_else(|| "expected MIN..MAX with 1 <= MIN <= MAX".into())
+    let counts = pair(text).filter(|(least, most)| (1..=*most).contains(least));
+    counts.map(|(least, most)| least..=most).ok_or_else(|| "expected MIN..MAX with 1 <= MIN <= MAX".into())
 }
 
 fn viscosities(text: &str) -> std::result::Result<RangeInclusive<f32>, String> {
     let [low, high] = DFSPH_VISCOSITIES;
-    let viscosities = range(text)
-        .filter(|range| low <= *range.start() && range.start() <= range.end() && *range.end() <= high);
-    viscosities.ok_or_else(|| format!("expected MIN..MAX with {low} <= MIN <= MAX <= {high}"))
+    let viscosities = pair(text).filter(|(least, most)| low <= *least && least <= most && *most <= high);
+    let expected = || format!("expected MIN..MAX with {low} <= MIN <= MAX <= {high}");
+    viscosities.map(|(least, most)| least..=most).ok_or_else(expected)
 }
 
 pub fn run(args: &Args, report: &Report) -> Result<ExitCode> {

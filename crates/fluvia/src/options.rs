@@ -1,6 +1,7 @@
 //! Values of options that several subcommands take.
 
 use std::path::Path;
+use std::str::FromStr;
 
 use anyhow::{Context, Result, bail};
 use cconv::Precision;
@@ -44,15 +45,16 @@ pub enum FrameRange {
     All(u64, u64),
 }
 
+/// Parses `A..B`.
+pub fn pair<T: FromStr>(text: &str) -> Option<(T, T)> {
+    let (first, last) = text.split_once("..")?;
+    first.parse().ok().zip(last.parse().ok())
+}
+
 /// Parses `N` or `FIRST..LAST`.
 pub fn frame_range(text: &str) -> std::result::Result<FrameRange, String> {
-    let number = |text: &str| text.parse().ok();
-    let range = match text.split_once("..") {
-        Some((first, last)) => {
-            number(first).zip(number(last)).map(|(first, last)| FrameRange::All(first, last))
-        }
-        None => number(text).map(FrameRange::One),
-    };
+    let all = pair(text).map(|(first, last)| FrameRange::All(first, last));
+    let range = all.or_else(|| text.parse().ok().map(FrameRange::One));
     let range = range.filter(|range| !matches!(range, FrameRange::All(first, last) if first > last));
     range.ok_or_else(|| "expected the number of a frame, or FIRST..LAST".into())
 }
